@@ -1,0 +1,50 @@
+# make demo · test · lint · plant · bench: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
+PYTHON ?= python3
+BIN := .venv/bin
+export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
+export PYBAMM_DISABLE_TELEMETRY := true
+
+.PHONY: demo test lint plant bench clean
+
+demo: .venv/runtime
+	$(BIN)/bms-ukf demo
+
+test: lint
+	$(BIN)/python -m pytest -m "not socketcan and not bench"
+	$(BIN)/python tests/socketcan/run.py
+
+lint: .venv/test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+plant: .venv/runtime compiler
+	$(BIN)/python models/fmi2/build.py models/lgm50_spme models/plants/lgm50_spme.fmu
+
+bench: .venv/test compiler
+	$(BIN)/python -m pytest -m bench tests/bench
+
+clean:
+	rm -rf .venv .numba_cache
+
+.venv/runtime: .venv/made pyproject.toml
+	@echo "== installing bms-ukf and what it needs into .venv (once)"
+	$(BIN)/python -m pip install --editable .
+	@touch $@
+
+.venv/test: .venv/made pyproject.toml
+	@echo "== installing bms-ukf, its test tools and PyBaMM into .venv (once; 1.4 GB)"
+	$(BIN)/python -m pip install --editable '.[test,plant]'
+	@touch $@ .venv/runtime
+
+.venv/made:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "bms-ukf needs Python 3.11 or newer;\
+	 $(PYTHON) is `$(PYTHON) --version 2>&1`. Install one (apt install python3.12 python3.12-venv) and use\
+	 make PYTHON=python3.12"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' || { echo "$(PYTHON) has no venv: apt install python3-venv"; exit 2; }
+	$(PYTHON) -m venv --clear .venv
+	@touch $@
+
+.PHONY: compiler
+compiler:
+	@command -v $(CC) >/dev/null || { echo "a C compiler is needed: apt install gcc libc6-dev"; exit 2; }

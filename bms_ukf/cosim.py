@@ -1,0 +1,111 @@
+"""Drives a plant with a load, measures it, has the estimator follow over a link, and records what came of it.
+
+load -> Plant.step -> sensors -> Sample -> link (direct, or frames over a bus) -> Estimate -> trace
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bms_ukf import metrics, resources
+from bms_ukf.cell import CellParams
+from bms_ukf.config import Bus
+from bms_ukf.estimator import Estimator
+from bms_ukf.links import BusLink, DirectLink, Link
+from bms_ukf.plant import Plant, PlantState
+from bms_ukf.records import Estimate, Sample
+from bms_ukf.scenario import Scenario
+from bms_ukf.sensors import SensorSet
+from bms_ukf.trace import Trace
+
+
+@dataclass(slots=True)
+class Progress:
+    """Where a run stands after a step."""
+
+    step: int
+    steps: int
+    wall_s: float
+    sample: Sample
+    estimate: Estimate
+    true: PlantState
+    frames_in: int
+    frames_out: int
+
+
+Watch = Callable[[Progress], None]
+
+
+def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Trace, dict[str, Any]]:
+    """Run a scenario (found at `path`) to the end of its load: the trace, a row per step, and the summary.
+
+    `watch` is called after every step. Raises ConfigError for what the scenario names and is not usable, and PlantError
+    if the plant fails on the way.
+    """
+    profile = scenario.load.profile(scenario.step_s, relative_to=path.parent)
+    step_ns = round(scenario.step_s * 1e9)
+    sensors = SensorSet(scenario.sensors)
+    estimator = _estimator(scenario, path)
+    trace = Trace(len(profile.current_A))
+    started = time.perf_counter()
+    with _plant(scenario, path) as plant:
+        link = _link(scenario, path, estimator)
+        try:
+            for k, current_A in enumerate(profile.current_A.tolist(), start=1):
+                true = plant.step(current_A, step_ns)
+                sample = sensors.measure(true.t_ns, current_A, true.voltage_V, true.temperature_degC)
+                estimate = link.exchange(sample)
+                given = Sample(true.t_ns, current_A, true.voltage_V, true.temperature_degC)
+                trace.append(sample, estimate, true.soc, given)
+                if watch is not None:
+                    wall_s, frames = time.perf_counter() - started, (link.frames_in, link.frames_out)
+                    watch(Progress(k, len(profile.current_A), wall_s, sample, estimate, true, *frames))
+        finally:
+            link.close()
+    return trace, _summary(scenario, trace, link, time.perf_counter() - started)
+
+
+def _estimator(scenario: Scenario, path: Path) -> Estimator:
+    cell_path = resources.find(scenario.estimator.cell, "cells", ".toml", relative_to=path.parent)
+    return Estimator(CellParams.load(cell_path), tuning=scenario.estimator.tuning)
+
+
+def _plant(scenario: Scenario, path: Path) -> Plant:
+    table = scenario.plant
+    return Plant(
+        resources.find(table.fmu, "plants", ".fmu", relative_to=path.parent),
+        variables=table.variables,
+        parameters=table.parameters,
+        ambient_degC=table.ambient_degC,
+    )
+
+
+def _link(scenario: Scenario, path: Path, estimator: Estimator) -> Link:
+    if scenario.bus.interface == "direct":
+        return DirectLink(estimator)
+    return BusLink(estimator, Bus(interface=scenario.bus.interface, channel=scenario.bus.channel), str(path))
+
+
+def _summary(scenario: Scenario, trace: Trace, link: Link, wall_s: float) -> dict[str, Any]:
+    """What users' scripts read from the JSON: the run, its last state, and the scores where the plant knows its SoC."""
+    duration_s = float(trace.t_s[-1])
+    return {
+        "scenario": scenario.name,
+        "cell": scenario.estimator.cell,
+        "plant": scenario.plant.fmu,
+        "bus": scenario.bus.interface,
+        "seed": scenario.sensors.seed,
+        "n": len(trace),
+        "duration_s": duration_s,
+        "wall_s": wall_s,
+        "realtime_factor": duration_s / wall_s,
+        "frames_in": link.frames_in,
+        "frames_out": link.frames_out,
+        "final_soc": float(trace["soc"][-1]),
+        "soc_sigma_final": float(trace["soc_sigma"][-1]),
+        **metrics.score(trace.t_s, trace["soc"], trace["soc_sigma"], trace["soc_ref"]),
+    }

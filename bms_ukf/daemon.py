@@ -1,0 +1,115 @@
+"""The daemon: frames in, frames out, one line in between.
+
+    bus.recv -> codec.decode -> Sample -> Estimator.step -> Estimate -> codec.encode -> bus.send
+
+It does not end because of a frame, a full queue or a failing interface: it degrades, says so in what it publishes, and
+goes on when it can.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol
+
+import numpy as np
+
+from bms_ukf.bus import SafeBus
+from bms_ukf.clock import StampClock
+from bms_ukf.codec import Decoder, Encoder
+from bms_ukf.estimator import Estimator
+from bms_ukf.records import Fault, Sample, Status
+
+FAULT_HOLD_NS = 1_000_000_000
+POLL_S = 0.1  # how long a request to stop may wait
+
+
+class Clock(Protocol):
+    """The time of received frames; see `clock`."""
+
+    def at(self, stamp_s: float) -> int: ...
+
+    def advance(self) -> int: ...
+
+
+class Daemon:
+    """One estimator on one bus. `poll` handles one frame, `run` does so until told to stop."""
+
+    def __init__(
+        self,
+        bus: SafeBus,
+        estimator: Estimator,
+        decoder: Decoder,
+        *,
+        clock: Clock | None = None,
+        silence_s: float = 2.0,
+    ) -> None:
+        """`clock` times the frames (None: a `StampClock`); `silence_s` after the last answer a prediction is sent."""
+        self.bus, self.estimator, self.decoder = bus, estimator, decoder
+        self.encoder = Encoder(estimator.cells)
+        self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
+        self.published = 0  # sets of frames
+        self._clock = clock or StampClock()
+        self._silence_ns = silence_s * 1e9
+        self._published_ns = 0
+        self._refused = _Recent(Fault.E2E)
+        self._failed = _Recent(Fault.BUS)
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve the bus until `stop` is set."""
+        while not stop.is_set():
+            if not self.poll(POLL_S):
+                self._break_silence(self._clock.advance())
+
+    def poll(self, timeout_s: float) -> bool:
+        """Wait for one frame and handle it; False if none came. A scan that is complete is answered by publishing."""
+        message = self.bus.recv(timeout_s)
+        if message is None:
+            return False
+        t_ns = self._clock.at(message.timestamp)
+        classic = not (message.is_remote_frame or message.is_error_frame or message.is_fd)
+        sample = self.decoder.decode(
+            message.arbitration_id, message.is_extended_id, bytes(message.data), t_ns, classic=classic
+        )
+        if sample is not None:
+            self.estimator.step(sample, out=self.estimate)
+            if _closes_scan(sample):
+                self._publish(t_ns)
+        self._break_silence(t_ns)
+        return True
+
+    def _break_silence(self, t_ns: int) -> None:
+        """Publish a prediction if nothing has been published for too long: silence must not look like a steady SoC."""
+        if t_ns - self._published_ns >= self._silence_ns:
+            self.estimator.coast(t_ns, out=self.estimate)
+            self._publish(t_ns)
+
+    def _publish(self, t_ns: int) -> None:
+        estimate = self.estimate
+        received = self.decoder.counters
+        shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self.bus.failures + received.lost)
+        if shown:
+            estimate.faults |= shown
+            if estimate.status is Status.OK:
+                estimate.status = Status.DEGRADED
+        for frame in self.encoder.encode(estimate, self.estimator.accepted):
+            self.bus.send(frame, t_ns)
+        self.published += 1
+        self._published_ns = t_ns
+
+
+class _Recent:
+    """A fault that is shown for FAULT_HOLD_NS after its counter moved."""
+
+    def __init__(self, fault: Fault) -> None:
+        self._fault, self._count, self._until_ns = fault, 0, -1
+
+    def at(self, t_ns: int, count: int) -> Fault:
+        if count != self._count:
+            self._count, self._until_ns = count, t_ns + FAULT_HOLD_NS
+        return self._fault if t_ns < self._until_ns else Fault.NONE
+
+
+def _closes_scan(sample: Sample) -> bool:
+    """Whether the last cell's voltage is in the sample: cells are read in order."""
+    voltage = sample.voltage_V if isinstance(sample.voltage_V, float) else sample.voltage_V[-1]
+    return not np.isnan(voltage)

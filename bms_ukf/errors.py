@@ -1,0 +1,34 @@
+"""What can go wrong at the edges. The numerics below raise nothing: they return fault bits (`records.Fault`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class BmsError(Exception):
+    """Any error this package raises on purpose; its text is one line, fit for a terminal."""
+
+
+class ConfigError(BmsError):
+    """A file, key or argument the user gave is wrong. The command line turns it into one line and exit code 2.
+
+    `source` is the file (or the option) at fault, `key` the dotted key in it, `value` what stood there and `expected`
+    what would have been right; `key` and `value` are left out where there are none.
+    """
+
+    def __init__(
+        self, source: str | Path, *, expected: str, key: str | None = None, value: object | None = None
+    ) -> None:
+        self.source, self.key, self.value, self.expected = str(source), key, value, expected
+        place = f"{source}: {key}" if key else f"{source}"
+        shown = "" if value is None else f" is {_short(value)};"
+        super().__init__(" ".join(f"{place}:{shown} expected {expected}".split()))
+
+
+class PlantError(BmsError):
+    """A plant that was accepted at start failed while running (an FMU returned an error, or a value is not finite)."""
+
+
+def _short(value: object, limit: int = 60) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else f"{text[: limit - 1]}…"

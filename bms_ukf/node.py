@@ -1,0 +1,100 @@
+"""The other end of the bus, as a vehicle, a co-simulated plant or a monitor has it: samples out, estimates in."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bms_ukf.dbc import Field, own_matrix
+from bms_ukf.frames import Frame, Inbox, Outbox, Pages
+from bms_ukf.records import Estimate, Fault, Sample, Status
+
+
+class SampleEncoder:
+    """Turns samples into the frames of a vehicle, by the project's own DBC.
+
+    NaN is sent as not available, and a value beyond the DBC's limits as the limit.
+    """
+
+    def __init__(self, cells: int = 1, sensors: int = 1) -> None:
+        matrix = own_matrix()
+        self._pack_box = Outbox(matrix.message("PackMeasurement"))
+        self._current = Field(*matrix.find("PackMeasurement.PackCurrent")).insert()
+        self._pack_voltage = Field(*matrix.find("PackMeasurement.PackVoltage")).insert()
+        self._temperatures = Pages(matrix, "CellTemperatures", "Sensor", sensors)
+        self._voltages = Pages(matrix, "CellVoltages", "Cell", cells)
+        self._sent = 0
+
+    def encode(self, sample: Sample) -> list[Frame]:
+        """All frames of a sample, current first: whichever comes first moves the estimator's time on to `t_ns`."""
+        return [self.pack(sample), *self.temperatures(sample), *self.voltages(sample)]
+
+    def pack(self, sample: Sample) -> Frame:
+        """PackMeasurement: the current and the sum of the cell voltages."""
+        cells = sample.voltage_V
+        pack_voltage = cells if isinstance(cells, float) else float(np.sum(cells))
+        return self._pack_box.frame(self._current(sample.current_A) | self._pack_voltage(pack_voltage), self._tick())
+
+    def temperatures(self, sample: Sample) -> list[Frame]:
+        """CellTemperatures, every page."""
+        pages = self._temperatures
+        return [pages.frame(page, sample.temperature_degC, self._tick()) for page in range(pages.count)]
+
+    def voltages(self, sample: Sample) -> list[Frame]:
+        """CellVoltages, every page."""
+        pages = self._voltages
+        return [pages.frame(page, sample.voltage_V, self._tick()) for page in range(pages.count)]
+
+    def _tick(self) -> int:
+        self._sent += 1
+        return self._sent
+
+
+class EstimateDecoder(Inbox[Estimate]):
+    """Turns the frames of an `Encoder` back into estimates; see `Inbox.decode`.
+
+    SocEstimate closes a set: it gives an `Estimate` that holds its own signals and those of the SocQuality and BmsState
+    received since the one before, the rest NaN. A pack's values are those the messages give: mean, largest or worst.
+    """
+
+    def __init__(self) -> None:
+        matrix = own_matrix()
+
+        def field_of(name: str) -> Field:
+            return Field(*matrix.find(name))
+
+        self._status = field_of("SocEstimate.Status").raw()
+        self._soc = field_of("SocEstimate.Soc").extract(0.01)
+        self._sigma = field_of("SocEstimate.SocSigma").extract(0.01)
+        self._age = field_of("SocEstimate.InformationAge").extract()
+        self._voltage_pred = field_of("SocQuality.PredictedVoltage").extract()
+        self._innovation = field_of("SocQuality.Innovation").extract()
+        self._nis = field_of("SocQuality.Nis").extract()
+        self._faults_shift = field_of("BmsState.FaultCurrentMissing").shift
+        self._open = Estimate()
+        super().__init__(
+            {
+                matrix.message("SocEstimate"): self._read_estimate,
+                matrix.message("SocQuality"): self._read_quality,
+                matrix.message("BmsState"): self._read_state,
+            }
+        )
+
+    def _read_estimate(self, data: bytes, t_ns: int) -> Estimate:
+        estimate, self._open = self._open, Estimate()
+        status = self._status(data)
+        estimate.t_ns = t_ns
+        estimate.soc, estimate.soc_sigma = self._soc(data), self._sigma(data)
+        estimate.age_s = self._age(data)
+        estimate.status = Status(status) if status in _STATUSES else Status.INVALID
+        return estimate
+
+    def _read_quality(self, data: bytes, _: int) -> None:
+        self._open.voltage_pred_V = self._voltage_pred(data)
+        self._open.innovation_V, self._open.nis = self._innovation(data), self._nis(data)
+
+    def _read_state(self, data: bytes, _: int) -> None:
+        self._open.faults = Fault(int.from_bytes(data, "little") >> self._faults_shift & _ALL_FAULTS)
+
+
+_STATUSES = frozenset(Status)
+_ALL_FAULTS = sum(Fault)

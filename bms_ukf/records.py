@@ -1,0 +1,77 @@
+"""What flows through the estimator: a `Sample` goes in, an `Estimate` comes out, and nothing else joins the two sides.
+
+Sign: current is positive on discharge. Time is integer nanoseconds of whatever clock stamped the data (frames, plant,
+file); only differences matter. NaN means "not measured", never 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+NAN = float("nan")
+
+PerCell = float | NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """How far an estimate is to be trusted. The same numbers in the DBC, the FMU and the C header."""
+
+    INITIALISING = 0  # not every signal has been seen yet: SoC is not available
+    OK = 1
+    DEGRADED = 2  # predicting without voltage, or on a faulty input: sigma is honest, but grows
+    INVALID = 3  # no SoC that could be defended: not available
+
+    @property
+    def word(self) -> str:
+        return self.name.lower()
+
+
+class Fault(IntFlag):
+    """Why a status is not `OK`. The same bits in the kernel's return value, the DBC, the FMU and the C header."""
+
+    NONE = 0
+    CURRENT_MISSING = 1 << 0  # none for longer than current_timeout_s: no charge is counted
+    VOLTAGE_MISSING = 1 << 1  # none for longer than voltage_timeout_s
+    TEMPERATURE_MISSING = 1 << 2  # none for longer than temperature_timeout_s: the last one is held
+    CURRENT_IMPLAUSIBLE = 1 << 3  # outside the plausible range, ignored
+    VOLTAGE_IMPLAUSIBLE = 1 << 4
+    TEMPERATURE_IMPLAUSIBLE = 1 << 5
+    INNOVATION_REJECTED = 1 << 6  # the voltage was too far from its prediction, not fused
+    TIME_REVERSED = 1 << 7  # stamped before the previous sample: refused whole
+    NUMERIC = 1 << 8  # a step gave a value that is not finite: refused whole, state kept
+    OUT_OF_TABLE = 1 << 9  # SoC or temperature beyond the cell file's tables: extrapolated
+    E2E = 1 << 10  # frames refused for length, counter or CRC
+    BUS = 1 << 11  # frames lost, or not sent
+
+
+@dataclass(slots=True)
+class Sample:
+    """One set of measurements at `t_ns`; any of them may be missing (NaN), and those are predicted or held.
+
+    `current_A` is the mean over the interval that ends at `t_ns`, so it moves the charge of that interval.
+    """
+
+    t_ns: int
+    current_A: float = NAN  # positive = discharge
+    voltage_V: PerCell = NAN  # cell terminal voltage; array of shape (cells,) for a pack
+    temperature_degC: PerCell = NAN
+
+
+@dataclass(slots=True)
+class Estimate:
+    """What is known after a sample. For a pack every `PerCell` field is an array of shape (cells,)."""
+
+    t_ns: int = 0
+    soc: PerCell = NAN  # 0..1, clamped for publication; NaN while initialising or invalid
+    soc_sigma: PerCell = NAN  # one standard deviation of `soc`
+    voltage_pred_V: PerCell = NAN  # predicted before the voltage was fused
+    innovation_V: PerCell = NAN  # measured minus predicted; NaN if no voltage came
+    innovation_var_V2: PerCell = NAN
+    nis: PerCell = NAN  # innovation^2 / innovation_var: chi-square, 1 degree of freedom, if the model is right
+    age_s: PerCell = NAN  # time since a voltage was last fused
+    status: Status = Status.INITIALISING
+    faults: Fault = Fault.NONE

@@ -1,0 +1,104 @@
+"""Writes a run's report: goals, figures of merit, plots and where it all came from, on one page that needs no other.
+
+Importing this does not import matplotlib; writing a report does.
+"""
+
+from __future__ import annotations
+
+import platform
+from base64 import b64encode
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+
+from bms_ukf import metrics
+from bms_ukf.errors import ConfigError
+from bms_ukf.trace import Trace
+
+if TYPE_CHECKING:
+    from bms_ukf.report.plots import Plot
+
+# Figure, its key in the summary, the factor to what is shown, the format.
+_FIGURES = (
+    ("RMSE", "rmse_pct", 1.0, "{:.2f} %"),
+    ("Mean absolute error", "mae_pct", 1.0, "{:.2f} %"),
+    ("Largest absolute error", "max_pct", 1.0, "{:.2f} %"),
+    ("Bias (estimated minus true)", "bias_pct", 1.0, "{:+.2f} %"),
+    ("Rows inside the 95 % band", "coverage95", 100.0, "{:.1f} %"),
+    ("Error stays within 2 % from", "settled_s", 1.0, "{:.0f} s"),
+    ("Rows scored", "n_scored", 1.0, "{:.0f}"),
+    ("Rows without an estimate", "n_unavailable", 1.0, "{:.0f}"),
+)
+
+# What the page says of the run, as far as the summary holds it.
+_PROVENANCE = (
+    ("Scenario", "scenario", "{}"),
+    ("Cell file", "cell", "{}"),
+    ("Plant", "plant", "{}"),
+    ("Bus", "bus", "{}"),
+    ("Sensor seed", "seed", "{}"),
+    ("Simulated time", "duration_s", "{:.0f} s"),
+    ("Wall time", "wall_s", "{:.1f} s"),
+    ("Speed", "realtime_factor", "{:.0f} times real time"),
+)
+
+
+def write_report(target: Path, trace: Trace, summary: dict[str, Any], *, title: str) -> Path:
+    """Write the page `target` if it ends in .html, else `report.html` and the plots as PNG into the folder `target`.
+
+    Returns the page's path. `summary` holds `metrics.score` of the trace and whatever of `_PROVENANCE` there is to say.
+    Raises ConfigError if the place cannot be written.
+    """
+    plots = _plots(trace)
+    page = target if target.suffix == ".html" else target / "report.html"
+    try:
+        if page != target:
+            target.mkdir(parents=True, exist_ok=True)
+            for plot, png in plots:
+                (target / f"{plot.name}.png").write_bytes(png)
+        page.write_text(_page(plots, summary, title), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(target, expected=f"a place that can be written ({error.strerror})") from None
+    return page
+
+
+def _plots(trace: Trace) -> list[tuple[Plot, bytes]]:
+    from bms_ukf.report.plots import render  # matplotlib takes half a second that a run without report need not pay
+
+    return list(render(trace))
+
+
+def _page(plots: list[tuple[Plot, bytes]], summary: dict[str, Any], title: str) -> str:
+    loader = jinja2.FileSystemLoader(Path(__file__).parent)
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    scored = summary["n_scored"] > 0
+    late = summary["after_600s"]
+    figures = [
+        (name, _text(summary[key], factor, form), _text(late[key], factor, form))
+        for name, key, factor, form in _FIGURES
+    ]
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        checks=metrics.judge(summary) if scored else [],
+        figures=figures if scored else [],
+        plots=[(plot, b64encode(png).decode()) for plot, png in plots],
+        provenance=[(name, form.format(summary[key])) for name, key, form in _PROVENANCE if key in summary]
+        + [("Versions", _versions()), ("Machine", f"{platform.system()} {platform.machine()}")],
+    )
+
+
+def _text(figure: float | None, factor: float, form: str) -> str:
+    return "–" if figure is None else form.format(factor * figure)
+
+
+def _versions() -> str:
+    """Of this package and what its numbers depend on."""
+    installed = []
+    for name in ("bms-ukf", "numpy", "numba"):
+        try:
+            installed.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            installed.append(f"{name} (not installed as a package)")
+    return ", ".join([*installed, f"Python {platform.python_version()}"])

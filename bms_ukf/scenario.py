@@ -1,0 +1,56 @@
+"""A co-simulation scenario: plant, load, sensors, bus and estimator. `models/scenarios/demo.toml` shows every table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from bms_ukf import resources, toml
+from bms_ukf.loads import Load
+from bms_ukf.sensors import Sensors
+from bms_ukf.tuning import Tuning
+
+Text = Annotated[str, Field(min_length=1)]
+
+
+class PlantTable(toml.Section):
+    """[plant]: the FMU that is driven, and how it starts."""
+
+    fmu: Text  # a file, or the name of a shipped plant
+    parameters: dict[str, bool | int | float | str] = Field(default_factory=dict)  # start values, by FMU name
+    variables: dict[str, str] = Field(default_factory=dict)  # role = "FMU name"; a role left out has its own name
+    ambient_degC: float | None = None  # None: the FMU's own
+
+
+class BusTable(toml.Section):
+    """[bus]: what lies between plant and estimator."""
+
+    interface: Text = "direct"  # "direct": no bus; "virtual": in this process; else a python-can interface
+    channel: Text = "bms-ukf"
+
+
+class EstimatorTable(toml.Section):
+    """[estimator]: the cell file, and the tuning in [estimator.tuning]."""
+
+    cell: Text
+    tuning: Tuning = Field(default_factory=Tuning)
+
+
+class Scenario(toml.Document):
+    """A whole SCENARIO.toml."""
+
+    name: Text
+    step_s: Annotated[float, Field(gt=0, le=3600)] = 1.0  # of the plant, the sensors and the frames
+    plant: PlantTable
+    load: Load
+    sensors: Sensors = Field(default_factory=Sensors)
+    bus: BusTable = Field(default_factory=BusTable)
+    estimator: EstimatorTable
+
+
+def load(given: str | Path) -> tuple[Scenario, Path]:
+    """A scenario file, or a shipped scenario by name, with the path it was found at."""
+    path = resources.find(given, "scenarios", ".toml")
+    return toml.load(path, Scenario), path

@@ -1,0 +1,78 @@
+"""Reads and validates the project's TOML formats, turning every mistake into one line: file, key, value, expected."""
+
+from __future__ import annotations
+
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from bms_ukf.errors import ConfigError
+
+
+class Section(BaseModel):
+    """A table of a TOML format: unknown keys, NaN, infinity and numbers written as text are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class Document(Section):
+    """A whole file; `format` is the version of its layout."""
+
+    format: Literal[1]
+
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def load(path: Path, model: type[M]) -> M:
+    """The file at `path` as `model`. Raises ConfigError naming the first mistake."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(path, expected=f"a readable TOML file ({error})") from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(path, expected=f"TOML ({error})") from None
+    return validate(data, model, path)
+
+
+def validate(data: dict[str, Any], model: type[M], source: str | Path) -> M:
+    """`data` as `model`. Raises ConfigError naming the first mistake and how many more there are."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        # A misspelt key shows up twice, as an unknown key and as a missing one: the unknown one says more.
+        mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
+        first = mistakes[0]
+        key = ".".join(str(part) for part in first["loc"])
+        expected = _expected(dict(first), model)
+        if len(mistakes) > 1:
+            expected += f" (and {len(mistakes) - 1} more)"
+        value = None if isinstance(first["input"], dict | list) else first["input"]
+        raise ConfigError(source, key=key or None, value=value, expected=expected) from None
+
+
+def _expected(mistake: dict[str, Any], model: type[BaseModel]) -> str:
+    if mistake["type"] == "extra_forbidden":
+        known = _keys_at(model, mistake["loc"][:-1])
+        near = get_close_matches(str(mistake["loc"][-1]), known, n=1)
+        return f"no such key (did you mean {near[0]}?)" if near else f"no such key (known: {', '.join(known)})"
+    if mistake["type"] == "missing":
+        return "this key, which is missing"
+    text = str(mistake["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+    return text
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            annotation = model.model_fields[part].annotation
+            nested = [t for t in (annotation, *getattr(annotation, "__args__", ())) if isinstance(t, type)]
+            models = [t for t in nested if issubclass(t, BaseModel)]
+            if models:
+                model = models[0]
+    return list(model.model_fields)

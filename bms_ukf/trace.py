@@ -1,0 +1,148 @@
+"""One run, row by row: what was measured, what was estimated, and what was true if that is known; also as CSV.
+
+| column | meaning |
+|---|---|
+| `time_s` | time of the sample |
+| `soc`, `soc_sigma` | estimate and its standard deviation, 0..1 |
+| `voltage_pred_V` | terminal voltage predicted before the measured one was fused |
+| `innovation_V`, `nis` | measured minus predicted; its square over its variance |
+| `status`, `faults` | words of `records.Status` and `records.Fault`, faults joined by a bar |
+| `soc_ref` | true or reference SoC, 0..1 |
+| `current_A`, `voltage_V`, `temperature_degC` | what the estimator got; positive = discharge |
+| `current_true_A`, `voltage_true_V`, `temperature_true_degC` | what the plant gave, before the sensors |
+
+In a CSV a missing value is an empty field, and a column from `soc_ref` on is left out when all of it is missing.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bms_ukf.errors import ConfigError
+from bms_ukf.records import NAN, Estimate, Fault, Sample, Status
+
+_ESTIMATED = ("soc", "soc_sigma", "voltage_pred_V", "innovation_V", "nis")
+_OPTIONAL = (
+    "soc_ref",
+    "current_A",
+    "voltage_V",
+    "temperature_degC",
+    "current_true_A",
+    "voltage_true_V",
+    "temperature_true_degC",
+)
+_NUMBERS = _ESTIMATED + _OPTIONAL
+_UNKNOWN = Sample(0)
+
+
+class Trace:
+    """Columns for up to `capacity` rows of one cell; `trace["soc"]` is a view of shape (rows so far,).
+
+    Number columns are float64 with NaN for missing. `status` and `faults` are integer columns of the records' values.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._n = 0
+        self._t_ns = np.empty(capacity, dtype=np.int64)
+        self._numbers = np.full((capacity, len(_NUMBERS)), NAN)
+        self._words = np.empty((capacity, 2), dtype=np.int64)
+
+    def __len__(self) -> int:
+        return self._n
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        return self._t_ns[: self._n]
+
+    @property
+    def t_s(self) -> NDArray[np.float64]:
+        return np.asarray(self.t_ns * 1e-9, dtype=np.float64)
+
+    @property
+    def status(self) -> NDArray[np.int64]:
+        return self._words[: self._n, 0]
+
+    @property
+    def faults(self) -> NDArray[np.int64]:
+        return self._words[: self._n, 1]
+
+    def __getitem__(self, column: str) -> NDArray[np.float64]:
+        return self._numbers[: self._n, _NUMBERS.index(column)]
+
+    def append(self, sample: Sample, estimate: Estimate, soc_ref: float = NAN, true: Sample = _UNKNOWN) -> None:
+        """Add a row stamped by `sample`. `true` holds the plant's own values. Raises IndexError beyond the capacity."""
+        row = self._n
+        self._t_ns[row] = sample.t_ns
+        self._numbers[row] = (
+            estimate.soc,
+            estimate.soc_sigma,
+            estimate.voltage_pred_V,
+            estimate.innovation_V,
+            estimate.nis,
+            soc_ref,
+            sample.current_A,
+            sample.voltage_V,
+            sample.temperature_degC,
+            true.current_A,
+            true.voltage_V,
+            true.temperature_degC,
+        )
+        self._words[row] = estimate.status, estimate.faults
+        self._n = row + 1
+
+    def write_csv(self, path: Path) -> None:
+        """Write all rows, numbers with 9 significant digits."""
+        optional = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
+        names = ["time_s", *_ESTIMATED, "status", "faults", *optional]
+        columns = [
+            [f"{t_s:.15g}" for t_s in (self.t_ns / 1e9).tolist()],
+            *(_texts(self[name]) for name in _ESTIMATED),
+            [Status(value).word for value in self.status.tolist()],
+            [_fault_words(value) for value in self.faults.tolist()],
+            *(_texts(self[name]) for name in optional),
+        ]
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(names)
+            writer.writerows(zip(*columns, strict=True))
+
+    @classmethod
+    def read_csv(cls, path: Path) -> Trace:
+        """Read what `write_csv` wrote. Raises ConfigError naming file, column and row (the header is row 0)."""
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+            missing = [n for n in ("time_s", *_ESTIMATED, "status", "faults") if n not in (reader.fieldnames or ())]
+        if missing:
+            raise ConfigError(path, key=missing[0], expected="this column in the header row")
+        trace = cls(len(rows))
+        for k, row in enumerate(rows):
+            try:
+                column = "time_s"
+                trace._t_ns[k] = round(float(row[column]) * 1e9)
+                column = "status"
+                trace._words[k, 0] = Status[row[column].upper()]
+                column = "faults"
+                trace._words[k, 1] = sum(Fault[word.upper()] for word in row[column].split("|") if word)
+                for j, column in enumerate(_NUMBERS):
+                    trace._numbers[k, j] = float(row.get(column) or NAN)
+            except (ValueError, KeyError, AttributeError):
+                expected = "a number, a status word or fault words as this program writes them"
+                raise ConfigError(path, key=f"{column}, row {k + 1}", value=row[column], expected=expected) from None
+        trace._n = len(rows)
+        return trace
+
+
+def _texts(column: NDArray[np.float64]) -> list[str]:
+    return ["" if math.isnan(value) else f"{value:.9g}" for value in column.tolist()]
+
+
+@cache
+def _fault_words(faults: int) -> str:
+    return "|".join(fault.name.lower() for fault in Fault if fault.name and fault & faults)

@@ -1,0 +1,46 @@
+"""What the filter assumes of its sensors, and the limits it works within. The cell file says the rest.
+
+Every default suits an automotive current and voltage measurement; none is fitted to a data set.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from bms_ukf.toml import Section
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Tuning(Section):
+    """Sensor errors (one sigma), timeouts, gate and start-up of an `Estimator`; None: from the cell's capacity."""
+
+    # What is believed before the first voltage. The default is no opinion: that voltage, at rest or not, decides.
+    initial_soc: Annotated[float, Field(ge=0, le=1)] = 0.5
+    initial_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.3
+    initial_current_sigma_A: NonNegative | None = None  # the load before the first sample; None: C/5
+
+    current_offset_sigma_A: Positive | None = None  # None: C/100
+    current_gain_sigma: NonNegative = 0.01
+    current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one
+    voltage_sensor_sigma_V: NonNegative = 0.002
+
+    # A current counts for no longer than this, so it must exceed the interval between samples.
+    current_timeout_s: Positive = 5.0
+    voltage_timeout_s: Positive = 5.0
+    temperature_timeout_s: Positive = 60.0
+    voltage_margin_V: NonNegative = 0.7  # plausible: the cell's voltage limits and so much beyond
+    current_margin: Annotated[float, Field(ge=1)] = 10.0  # plausible: so many times the cell's current limits
+
+    gate_sigmas: Positive = 5.0
+    reject_s: Positive = 30.0  # after so long the belief is doubted, not the voltage
+    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.05  # above it sigma points are too few for the OCV curve
+    soc_sigma_invalid: Annotated[float, Field(gt=0, le=0.5)] = 0.35
+
+    # Sigma points. alpha = 1 makes every weight non-negative and is the only sound choice in float32.
+    alpha: Annotated[float, Field(gt=0, le=1)] = 1.0
+    beta: NonNegative = 2.0
+    kappa: NonNegative = 0.0

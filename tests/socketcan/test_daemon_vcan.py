@@ -1,0 +1,266 @@
+"""`bms-ukf run` as its own process on a real vcan0: a vehicle sends, candump looks on, and things go wrong."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from can import BusABC, Message
+from model_cell import ModelCell
+
+from bms_ukf import Estimate, Fault, Sample, Status, cli, cosim, toml
+from bms_ukf.config import Bus
+from bms_ukf.node import EstimateDecoder, SampleEncoder
+from bms_ukf.scenario import Scenario
+
+pytestmark = pytest.mark.socketcan
+
+ROOT = Path(__file__).resolve().parents[2]
+PERIOD_S = 0.1
+CURRENT_A = 5.0
+SOC = 0.7
+ANSWER = (0x222, 0x221, 0x220)  # BmsState, SocQuality, SocEstimate, in this order
+CONFIG = """
+format = 1
+cell = "lgm50_chen2020"
+silence_s = 1.0
+[bus]
+interface = "socketcan"
+channel = "{channel}"
+"""
+
+
+class Vehicle:
+    """Sends, in real time, a battery that was at rest when it first did, and is under CURRENT_A since."""
+
+    def __init__(self, battery: ModelCell) -> None:
+        self.battery = battery
+        self._encoder = SampleEncoder()
+        self._sent_s: float | None = None
+
+    def drive(self, bus: BusABC, scans: int) -> None:
+        for _ in range(scans):
+            self.send(bus)
+            time.sleep(PERIOD_S)
+
+    def send(self, bus: BusABC) -> None:
+        now_s = time.monotonic()
+        current_A = 0.0 if self._sent_s is None else CURRENT_A
+        voltage_V = self.battery.step(current_A, now_s - (self._sent_s or now_s))
+        self._sent_s = now_s
+        for arbitration_id, extended, data in self._encoder.encode(Sample(0, current_A, voltage_V, 25.0)):
+            bus.send(Message(arbitration_id=arbitration_id, is_extended_id=extended, data=data), timeout=5.0)
+
+
+class Daemon:
+    """The process, and what it says on stderr."""
+
+    def __init__(self, config: Path, log: Path) -> None:
+        self._log = log
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        with log.open("wb") as stderr:
+            command = [sys.executable, "-m", "bms_ukf", "run", str(config)]
+            self.process = subprocess.Popen(command, cwd=config.parent, env=environment, stderr=stderr)
+
+    def stderr(self) -> str:
+        return self._log.read_text()
+
+    def wait_for(self, text: str, times: int = 1, timeout_s: float = 60.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        while self.stderr().count(text) < times:
+            assert self.process.poll() is None, f"ended with {self.process.returncode}:\n{self.stderr()}"
+            assert time.monotonic() < deadline, f"never said {text!r}:\n{self.stderr()}"
+            time.sleep(0.05)
+
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def stop(self, number: int) -> float:
+        """How long it took to end, in seconds."""
+        started = time.monotonic()
+        self.process.send_signal(number)
+        self.process.wait(20.0)
+        return time.monotonic() - started
+
+
+class Answers(NamedTuple):
+    estimates: list[Estimate]
+    alive: dict[int, list[int]]  # alive counters of each message
+    refused: int
+
+
+def read(frames: list[tuple[int, bytes]]) -> Answers:
+    """The daemon's frames among these, with CRC and counter checked by the receiving end."""
+    monitor = EstimateDecoder()
+    alive: dict[int, list[int]] = {arbitration_id: [] for arbitration_id in ANSWER}
+    estimates = []
+    for arbitration_id, data in frames:
+        if arbitration_id in alive:
+            alive[arbitration_id].append(data[1] & 0x0F)
+            estimate = monitor.decode(arbitration_id, False, data, 0)
+            estimates += [estimate] if estimate is not None else []
+    return Answers(estimates, alive, monitor.counters.refused)
+
+
+def heard(bus: BusABC, wait_s: float = 1.0) -> list[tuple[int, bytes]]:
+    """What a bus hears until it has been silent for as long; predictions in silence are not waited out."""
+    frames = []
+    deadline = time.monotonic() + wait_s
+    while time.monotonic() < deadline and (message := bus.recv(0.3)) is not None:
+        frames.append((message.arbitration_id, bytes(message.data)))
+    return frames
+
+
+@pytest.fixture
+def vehicle(cell):
+    return Vehicle(ModelCell(cell, SOC))
+
+
+@pytest.fixture
+def config(vcan, tmp_path):
+    path = tmp_path / "can.toml"
+    path.write_text(CONFIG.format(channel=vcan.channel))
+    return path
+
+
+@pytest.fixture
+def daemon(vcan, config, tmp_path) -> Iterator[Daemon]:
+    daemon = Daemon(config, tmp_path / "stderr.log")
+    daemon.wait_for("running: ")
+    yield daemon
+    took_s = daemon.stop(signal.SIGTERM)
+    assert daemon.process.returncode == 0, daemon.stderr()
+    assert "stopped: " in daemon.stderr()
+    assert "Traceback" not in daemon.stderr()
+    assert took_s < 2.0, "a second, and what a slow guest takes to end a process"
+
+
+def test_soc_frames_answer_the_vehicles_and_tell_its_silence_as_candump_sees(vcan, candump, daemon, vehicle):
+    scans = 40
+    with vcan.bus() as bus:
+        unasked = len(candump.frames(at_least=0))
+        vehicle.drive(bus, scans)
+        frames = candump.frames(at_least=unasked + 6 * scans)
+    answered = [frame for frame in frames if frame.arbitration_id in ANSWER][-3 * scans :]
+    assert [frame.arbitration_id for frame in answered] == list(ANSWER) * scans
+    told = read([(frame.arbitration_id, frame.data) for frame in answered])
+    assert told.refused == 0
+    assert {estimate.status for estimate in told.estimates} == {Status.OK}
+    assert {estimate.faults for estimate in told.estimates} == {Fault.NONE}
+    assert told.estimates[0].soc == pytest.approx(SOC, abs=0.005)
+    assert told.estimates[-1].soc == pytest.approx(vehicle.battery.soc, abs=0.005)
+    assert told.estimates[-1].soc_sigma < 0.1
+    for counters in told.alive.values():
+        assert {(b - a) % 15 for a, b in itertools.pairwise(counters)} == {1}
+
+    predicted = candump.frames(at_least=len(frames) + 9)[len(frames) :][:9]
+    held = read([(frame.arbitration_id, frame.data) for frame in predicted])
+    for arbitration_id, counters in held.alive.items():
+        assert counters == told.alive[arbitration_id][-1:] * 3
+    assert held.refused == 6, "no receiver takes a repeated one for an answer"
+
+
+def test_the_daemon_outlives_its_interface_and_keeps_what_it_knew(vcan, daemon, vehicle):
+    with vcan.bus() as bus:
+        vehicle.drive(bus, 15)
+    for times, (take, give_back) in enumerate([(vcan.down, vcan.up), (vcan.remove, vcan.create)], start=1):
+        take()
+        daemon.wait_for("trying to open it again", times)
+        time.sleep(1.0)
+        assert daemon.alive()
+        give_back()
+        daemon.wait_for("open again", times)
+        with vcan.bus() as bus:
+            vehicle.drive(bus, 25)
+            told = read(heard(bus)).estimates
+        assert len(told) == 25
+        assert Fault.BUS in told[0].faults
+        assert told[0].status is Status.DEGRADED
+        assert told[-1].faults is Fault.NONE
+        assert told[-1].status is Status.OK
+        # Were it to start anew, it would take a cell that is polarised by now for a relaxed one at a lower SoC.
+        assert told[0].soc == pytest.approx(vehicle.battery.soc, abs=0.005)
+        assert told[-1].soc == pytest.approx(vehicle.battery.soc, abs=0.005)
+
+
+def test_garbage_on_the_bus_changes_nothing_but_the_fault_it_shows(vcan, daemon, vehicle):
+    dice = random.Random(7)
+    with vcan.bus() as bus:
+        vehicle.drive(bus, 10)
+        for _ in range(200):
+            noise = dice.randbytes(dice.randrange(9))
+            identifier = dice.choice([0x120, 0x121, 0x122, 0x220, dice.randrange(0x800)])
+            bus.send(Message(arbitration_id=identifier, is_extended_id=False, data=noise), timeout=5.0)
+        for identifier in (0x120, 0x121, 0x122):
+            bus.send(Message(arbitration_id=identifier, is_extended_id=False, is_remote_frame=True), timeout=5.0)
+        heard(bus)
+        vehicle.drive(bus, 15)
+        told = read(heard(bus)).estimates
+    assert daemon.alive()
+    assert Fault.E2E in told[0].faults
+    assert told[-1].faults is Fault.NONE
+    assert told[-1].soc == pytest.approx(vehicle.battery.soc, abs=0.005)
+
+
+def test_an_interrupt_in_mid_traffic_ends_it_at_once(vcan, config, vehicle, tmp_path):
+    daemon = Daemon(config, tmp_path / "stderr.log")
+    daemon.wait_for("running: ")
+    with vcan.bus() as bus:
+        vehicle.drive(bus, 5)
+        vehicle.send(bus)
+        took_s = daemon.stop(signal.SIGINT)
+    assert daemon.process.returncode == 130
+    assert "Traceback" not in daemon.stderr()
+    assert took_s < 2.0
+
+
+@pytest.mark.parametrize("trouble", ["down", "removed"])
+def test_an_interface_that_is_not_usable_at_start_is_one_line(vcan, config, monkeypatch, capsys, trouble):
+    if trouble == "down":
+        vcan.down()
+    else:
+        vcan.remove()
+    monkeypatch.setattr(sys, "argv", ["bms-ukf", "run", str(config)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "can.toml: bus.channel: is 'socketcan:vcan0'; expected a CAN interface that exists and is up" in line
+    assert ("vcan0 is down" if trouble == "down" else "no interface with this name") in line
+
+
+def scenario(bus: Bus) -> Scenario:
+    data: dict[str, Any] = {
+        "format": 1,
+        "name": "test",
+        "plant": {"fmu": "lgm50_spme", "parameters": {"soc_initial": SOC}},
+        "load": {"segments": [{"rest_s": 10.0}, {"current_A": 4.0, "duration_s": 190.0}]},
+        "sensors": {"seed": 5, "voltage": {"noise_V": 0.002, "resolution_V": 0.001}},
+        "bus": {"interface": bus.interface, "channel": bus.channel},
+        "estimator": {"cell": "lgm50_chen2020", "tuning": {"initial_soc": 0.5, "initial_soc_sigma": 0.2}},
+    }
+    return toml.validate(data, Scenario, "test")
+
+
+def test_cosim_in_lockstep_gives_the_same_trace_as_on_a_virtual_bus(vcan, candump):
+    real, summary = cosim.run(scenario(Bus(interface="socketcan", channel=vcan.channel)), Path("test"))
+    virtual, _ = cosim.run(scenario(Bus(interface="virtual", channel="test-vcan")), Path("test"))
+    assert len(real) == len(virtual) == 200
+    assert np.array_equal(real.status, virtual.status)
+    for column in ("soc", "soc_sigma", "voltage_pred_V", "innovation_V", "nis"):
+        assert np.array_equal(real[column], virtual[column], equal_nan=True), column
+    assert not math.isnan(summary["rmse_pct"])
+    frames = candump.frames(at_least=6 * len(real))
+    assert len(frames) == summary["frames_in"] + summary["frames_out"] == 6 * len(real)

@@ -1,0 +1,171 @@
+"""Co-simulation: the same scenario straight into the estimator and over a bus, again and again, and its summary."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bms_ukf import ConfigError, Fault, cosim, metrics, toml
+from bms_ukf.scenario import Scenario
+from bms_ukf.trace import Trace
+
+# What a bit of the DBC is worth, per column of a trace.
+BITS = {
+    "soc": 0.0025e-2,
+    "soc_sigma": 0.0025e-2,
+    "voltage_pred_V": 0.0002,
+    "innovation_V": 0.0001,
+    "nis": 0.01,
+}
+NIS_LARGEST = 163.81
+SUMMARY_KEYS = {
+    "n",
+    "duration_s",
+    "realtime_factor",
+    "final_soc",
+    "soc_sigma_final",
+    "rmse_pct",
+    "mae_pct",
+    "max_pct",
+    "bias_pct",
+    "coverage95",
+    "settled_s",
+    "after_600s",
+}
+
+_channels = (f"test-cosim-{k}" for k in itertools.count())
+
+
+def scenario(interface: str = "direct", **tables: Any) -> Scenario:
+    """A drive whose sensors resolve what the DBC does: then both ways give the estimator the same numbers."""
+    data: dict[str, Any] = {
+        "format": 1,
+        "name": "test",
+        "plant": {"fmu": "lgm50_spme", "parameters": {"soc_initial": 0.8}, "ambient_degC": 20.0},
+        "load": {"segments": [{"rest_s": 20.0}, {"cycle": "us06"}, {"current_A": -2.0, "duration_s": 200.0}]},
+        "sensors": {
+            "seed": 3,
+            "current": {"noise_A": 0.02, "offset_A": 0.05, "resolution_A": 0.001},
+            "voltage": {"noise_V": 0.002, "resolution_V": 0.0005},
+            "temperature": {"noise_degC": 0.05, "resolution_degC": 0.01},
+        },
+        "bus": {"interface": interface, "channel": next(_channels)},
+        "estimator": {"cell": "lgm50_chen2020", "tuning": {"initial_soc": 0.6, "initial_soc_sigma": 0.2}},
+    }
+    return toml.validate(data | tables, Scenario, "test")
+
+
+def run(interface: str = "direct", **tables: Any) -> tuple[Trace, dict[str, Any]]:
+    return cosim.run(scenario(interface, **tables), Path("test"))
+
+
+@pytest.fixture(scope="module")
+def direct():
+    return run("direct")
+
+
+@pytest.fixture(scope="module")
+def virtual():
+    return run("virtual")
+
+
+def test_direct_and_over_the_bus_agree_within_dbc_quantisation_row_by_row(direct, virtual):
+    straight, bus = direct[0], virtual[0]
+    assert len(straight) == len(bus) > 800
+    assert np.array_equal(straight.t_ns, bus.t_ns)
+    assert np.array_equal(straight.status, bus.status)
+    assert np.array_equal(straight.faults, bus.faults)
+    # Half a bit is the rounding. The rest: of frames that arrive one by one the current moves the state on, before the
+    # new temperature is known. NIS is a square, in which that shows in proportion.
+    for column, bit in BITS.items():
+        a, b = straight[column], bus[column]
+        if column == "nis":
+            a = np.minimum(a, NIS_LARGEST)
+        assert np.array_equal(np.isnan(a), np.isnan(b)), column
+        allowed = bit + 0.01 * a if column == "nis" else bit
+        assert np.nanmax(np.abs(a - b) - allowed) <= 0, column
+
+
+def test_the_bus_carried_every_frame(virtual):
+    trace, summary = virtual
+    assert summary["frames_in"] == summary["frames_out"] == 3 * len(trace)
+    assert not np.any(trace.faults & (Fault.E2E | Fault.BUS))
+
+
+@pytest.mark.parametrize("interface", ["direct", "virtual"])
+def test_the_same_seed_gives_the_same_trace_to_the_bit(request, interface, tmp_path):
+    first, again = request.getfixturevalue(interface)[0], run(interface)[0]
+    first.write_csv(tmp_path / "first.csv")
+    again.write_csv(tmp_path / "again.csv")
+    assert (tmp_path / "first.csv").read_bytes() == (tmp_path / "again.csv").read_bytes()
+
+
+def test_another_seed_gives_another_trace(direct):
+    other, _ = run(sensors={"seed": 4, "voltage": {"noise_V": 0.002}})
+    assert not np.array_equal(direct[0]["voltage_V"], other["voltage_V"])
+    assert np.array_equal(direct[0]["voltage_true_V"], other["voltage_true_V"])
+
+
+def test_the_trace_holds_what_the_plant_did_what_was_measured_and_what_was_made_of_it(direct):
+    trace, _ = direct
+    # The plant's SoC is the charge drawn from it; its capacity is the cell file's within identification.
+    drawn = np.cumsum(trace["current_true_A"]) / 3600 / 5.15
+    assert np.allclose(trace["soc_ref"], 0.8 - drawn, atol=2e-3)
+    assert np.mean(trace["current_A"] - trace["current_true_A"]) == pytest.approx(0.05, abs=0.005)
+    assert np.std(trace["voltage_V"] - trace["voltage_true_V"]) == pytest.approx(0.002, rel=0.15)
+    assert trace["soc"][-1] == pytest.approx(trace["soc_ref"][-1], abs=0.03)
+
+
+def test_the_summary_has_the_keys_scripts_read_and_is_json(virtual):
+    trace, summary = virtual
+    assert summary.keys() >= SUMMARY_KEYS
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert summary["n"] == len(trace)
+    assert summary["duration_s"] == pytest.approx(len(trace) * 1.0)
+    assert summary["final_soc"] == trace["soc"][-1]
+    error_pct = 100 * (trace["soc"] - trace["soc_ref"])
+    assert summary["rmse_pct"] == pytest.approx(math.sqrt(np.mean(error_pct**2)))
+    assert {check.name for check in metrics.judge(summary)}
+
+
+def test_a_plant_that_does_not_know_its_soc_is_followed_without_a_score():
+    short = {"segments": [{"current_A": 1.0, "duration_s": 30.0}]}
+    trace, summary = run(load=short, plant={"fmu": "lgm50_spme", "variables": {"soc": ""}})
+    assert np.isnan(trace["soc_ref"]).all()
+    assert summary["rmse_pct"] is None
+    assert summary["final_soc"] == pytest.approx(0.5, abs=0.2)
+
+
+def test_every_step_is_shown_to_the_one_who_watches():
+    seen = []
+    trace, _ = cosim.run(
+        scenario("virtual", load={"segments": [{"rest_s": 5.0}]}),
+        Path("test"),
+        lambda progress: seen.append((progress.step, progress.steps, progress.frames_in, progress.frames_out)),
+    )
+    assert seen == [(k, 5, 3 * k, 3 * k) for k in range(1, 6)]
+    assert len(trace) == 5
+
+
+@pytest.mark.parametrize(
+    ("tables", "told"),
+    [
+        ({"plant": {"fmu": "nothing"}}, "nothing: expected a file, or one of the shipped plants: "),
+        ({"plant": {"fmu": "lgm50_spme", "variables": {"voltage_V": "voltage"}}}, "voltage_V"),
+        ({"plant": {"fmu": "lgm50_spme", "parameters": {"soc_initial": 2.0}}}, "parameters.soc_initial"),
+        ({"estimator": {"cell": "nothing"}}, "shipped cells"),
+        ({"bus": {"interface": "nonsense", "channel": "x"}}, "bus.interface: is 'nonsense'"),
+        ({"load": {"segments": [{"cycle": "nothing"}]}}, "shipped loads"),
+    ],
+)
+def test_what_a_scenario_names_and_is_not_there_is_told_in_one_line(tables, told):
+    with pytest.raises(ConfigError) as refused:
+        run(**tables)
+    assert told in str(refused.value)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,151 @@
+"""The shape of the project that no single module can hold: who imports what, names that would shadow, sizes, paths."""
+
+from __future__ import annotations
+
+import ast
+import graphlib
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "bms_ukf"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+CODEC = {"codec", "dbc", "e2e", "frames"}
+
+# A module or subpackage, and all of ours that it may import. Those not named here join the parts, and are checked only
+# for cycles; nothing named here can import them.
+MAY_IMPORT = {
+    "records": set(),
+    "errors": set(),
+    "resources": {"errors"},
+    "toml": {"errors"},
+    "cell": {"errors", "records", "resources", "toml"},
+    "tuning": {"errors", "toml"},
+    "kernel": {"cell", "kernel", "records", "tuning"},
+    "estimator": {"cell", "errors", "kernel", "records", "tuning"},
+    "fmu": {"errors"},
+    "plant": {"errors", "fmu", "records", "resources"},
+} | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
+# The only modules that may know of a library.
+KNOWN_TO = {
+    "numba": {"kernel"},
+    "llvmlite": {"kernel"},
+    "fmpy": {"fmu", "plant"},
+    "cantools": CODEC,
+    "fastcrc": {"e2e"},
+    "can": {"bus", "cosim", "daemon", "links"},
+    "click": {"cli"},
+}
+# Time is data and the outside world is elsewhere, for the estimator and all below it.
+PURE = {"records", "errors", "resources", "toml", "cell", "tuning", "kernel", "estimator"}
+IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
+
+SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]
+MACHINE_PATH = re.compile(rb"/[w]ork/|/[h]ome/[a-z]|/[r]oot/|[.][.]/[s]hared")
+MAY_NAME_A_PATH = {".ci/run"}
+
+
+def part(module: Path) -> str:
+    """`bms_ukf/kernel/ecm.py` is of the part `kernel`, `bms_ukf/cell.py` is the part `cell`."""
+    return module.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imports(module: Path) -> Iterator[str]:
+    """Dotted names of all a module imports, wherever in it; `from a import b` gives `a.b`."""
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imported_parts(module: Path) -> set[str]:
+    return {name.split(".")[1] for name in imports(module) if name.startswith("bms_ukf.")}
+
+
+def imported_libraries(module: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(module)}
+
+
+def offenders(excess: Callable[[Path], set[str]]) -> dict[str, set[str]]:
+    """The modules of ours that import what they should not, with what that is."""
+    return {str(module.relative_to(ROOT)): names for module in MODULES if (names := excess(module))}
+
+
+def committed_files() -> Iterator[Path]:
+    yield from (path for path in ROOT.iterdir() if path.is_file())
+    for folder in SOURCES:
+        yield from (path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+
+
+def contents(path: Path) -> Iterator[bytes]:
+    yield path.read_bytes()
+    if path.suffix == ".fmu":
+        with zipfile.ZipFile(path) as archive:
+            yield from (archive.read(name) for name in archive.namelist())
+
+
+@pytest.mark.parametrize("name", ["can/__init__.py", "can/can.py", "models/__init__.py"])
+def test_no_file_of_ours_turns_a_data_folder_into_a_package(name):
+    assert not (ROOT / name).exists()
+
+
+def test_import_can_is_python_can_even_from_the_checkout():
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import can; print(can.Bus.__module__, can.__file__)"
+    printed = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    module, file = printed.split()
+    assert module.startswith("can.")
+    assert ROOT / "can" not in Path(file).parents
+
+
+def test_a_module_imports_only_what_lies_below_it():
+    assert not offenders(
+        lambda module: imported_parts(module) - MAY_IMPORT[part(module)] if part(module) in MAY_IMPORT else set()
+    )
+
+
+def test_no_two_parts_import_each_other():
+    graph: dict[str, set[str]] = {}
+    for module in MODULES:
+        graph.setdefault(part(module), set()).update(imported_parts(module) - {part(module)})
+    assert list(graphlib.TopologicalSorter(graph).static_order())
+
+
+def test_a_library_is_known_only_to_the_modules_that_wrap_it():
+    assert not offenders(
+        lambda module: {
+            name for name in imported_libraries(module) if name in KNOWN_TO and part(module) not in KNOWN_TO[name]
+        }
+    )
+
+
+def test_the_estimator_knows_no_clock_no_bus_and_no_log():
+    assert not offenders(lambda module: imported_libraries(module) & IMPURE if part(module) in PURE else set())
+
+
+def test_a_module_fits_in_the_head():
+    lengths = {str(module.relative_to(ROOT)): len(module.read_text("utf-8").splitlines()) for module in MODULES}
+    assert not {module: length for module, length in lengths.items() if length > 300}
+
+
+def test_no_file_carries_the_path_of_a_machine():
+    files = [path for path in committed_files() if str(path.relative_to(ROOT)) not in MAY_NAME_A_PATH]
+    found = [(path, match[0]) for path in files for data in contents(path) if (match := MACHINE_PATH.search(data))]
+    assert len(files) > len(MODULES)
+    assert not found
+
+
+def test_every_test_over_vcan_is_where_the_suite_looks_for_it():
+    elsewhere = [path for path in (ROOT / "tests").glob("*.py") if "mark." + "socketcan" in path.read_text()]
+    assert not elsewhere
+    suite = list((ROOT / "tests" / "socketcan").glob("test_*.py"))
+    assert suite
+    assert all("pytestmark = pytest.mark." + "socketcan" in path.read_text() for path in suite)

@@ -1,0 +1,272 @@
+"""What one sample does to one cell: every branch of the policy, seen in the status, the faults and the belief."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import synthetic_cell
+from kernel_record import Record
+
+from bms_ukf import Fault, Status, Tuning
+
+CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
+CHARGE = 18000.0  # A s
+CURRENT_RANGE = 7.5  # A: half of -5..10
+NAN = math.nan
+
+
+def running(soc: float = 0.6, current: float = 1.0, **tuning: object) -> Record:
+    """A record after a minute of samples that agree with it."""
+    record = Record(CELL, Tuning(initial_soc=soc, initial_soc_sigma=0.05, **tuning))
+    record.tick(0.0, current, predicted(record, soc, current), 25.0)
+    for _ in range(60):
+        status, _ = agree(record, current)
+    assert status is Status.OK
+    return record
+
+
+def predicted(record: Record, soc: float, current: float) -> float:
+    return record.ocv(soc, 25.0) - record.drop(soc, 25.0, current)
+
+
+def agree(record: Record, current: float = 1.0, dt: float = 1.0) -> tuple[Status, Fault]:
+    """A step with the voltage that the belief before it has at the mean."""
+    soc, v1, v2 = record.x
+    return record.tick(dt, current, predicted(record, soc, current) - v1 - v2, 25.0)
+
+
+def copied(record: Record) -> Record:
+    twin = Record(CELL)
+    twin.params[:], twin.state[:] = record.params, record.state
+    return twin
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(["current", "voltage", "temperature"])))
+def test_it_initialises_until_each_of_the_three_has_been_seen_in_any_order(order):
+    record = Record(CELL)
+    values = {"current": 1.0, "voltage": 3.6, "temperature": 25.0}
+    missing = {"current": Fault.CURRENT_MISSING, "temperature": Fault.TEMPERATURE_MISSING}
+    seen: list[str] = []
+    for name in order[:2]:
+        status, faults = record.tick(0.1, **{name: values[name]})
+        seen.append(name)
+        assert status is Status.INITIALISING
+        assert faults == Fault.VOLTAGE_MISSING | sum((missing[k] for k in missing if k not in seen), Fault.NONE)
+    status, faults = record.tick(0.1, **{order[2]: values[order[2]]})
+    if order[2] == "voltage":
+        assert (status, faults) == (Status.OK, Fault.NONE)
+    else:  # a voltage is not held: it was of another moment
+        assert status is Status.INITIALISING
+        assert record.tick(0.1, voltage=3.6) == (Status.OK, Fault.NONE)
+
+
+@pytest.mark.parametrize(("soc", "current"), [(0.05, 0.0), (0.4, 2.0), (0.7, 0.0), (0.95, -1.0)])
+def test_without_an_opinion_the_first_voltage_decides_the_soc(soc, current):
+    record = Record(CELL)
+    assert record.tick(0.0, current, predicted(record, soc, current), 25.0) == (Status.OK, Fault.NONE)
+    assert abs(record.x[0] - soc) < 2 * record.root[0, 0]
+    assert record.root[0, 0] < 0.2
+
+
+def test_the_first_soc_is_the_one_told_before_any_voltage_is_fused():
+    record = Record(CELL, Tuning(initial_soc=0.35, initial_soc_sigma=0.001))
+    record.tick(0.0, 0.0, record.ocv(0.35, 25.0), 25.0)
+    assert record.x[0] == pytest.approx(0.35, abs=1e-4)
+    assert record.root[0, 0] <= 0.001
+
+
+@pytest.mark.parametrize("bad", [math.inf, -math.inf, 1e6, -1e6])
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("current", Fault.CURRENT_IMPLAUSIBLE),
+        ("voltage", Fault.VOLTAGE_IMPLAUSIBLE),
+        ("temperature", Fault.TEMPERATURE_IMPLAUSIBLE),
+    ],
+)
+def test_an_implausible_value_sets_its_fault_and_counts_as_not_measured(name, fault, bad):
+    spoilt, without = running(), running()
+    good = {"current": 2.0, "voltage": 3.5, "temperature": 26.0}
+    status, faults = spoilt.tick(1.0, **{**good, name: bad})
+    expected_status, expected_faults = without.tick(1.0, **{**good, name: NAN})
+    assert (status, faults) == (Status.DEGRADED, expected_faults | fault)
+    assert expected_faults & fault == 0
+    assert expected_status is not Status.INVALID
+    assert spoilt.belief == without.belief
+    assert agree(spoilt) == (Status.OK, Fault.NONE)  # recovered at the next good sample
+
+
+def test_without_a_voltage_the_belief_is_predicted_only():
+    record = running()
+    before = record.root[0, 0]
+    status, faults = record.tick(1.0, 2.0, NAN, 25.0)
+    assert (status, faults) == (Status.OK, Fault.NONE)
+    assert math.isnan(record["innovation"])
+    assert math.isnan(record["voltage_pred"])
+    assert record.root[0, 0] > before
+    assert record["voltage_age"] == 1.0
+
+
+def test_an_outlier_leaves_the_belief_as_if_it_had_not_come():
+    record = running()
+    without = copied(record)
+    status, faults = record.tick(1.0, 1.0, 3.1, 25.0)
+    without.tick(1.0, 1.0, NAN, 25.0)
+    assert (status, faults) == (Status.DEGRADED, Fault.INNOVATION_REJECTED)
+    assert record.belief == without.belief
+    assert abs(record["innovation"]) > 5 * math.sqrt(record["innovation_var"])  # published all the same
+    assert agree(record) == (Status.OK, Fault.NONE)
+
+
+@pytest.mark.parametrize(("believed", "truth"), [(0.9, 0.6), (0.6, 0.9), (0.6, 0.1), (0.1, 0.6), (0.8, 0.05)])
+def test_voltages_refused_for_reject_s_are_believed_in_the_end_and_the_sigma_is_honest(believed, truth):
+    """The belief was wrong by far more than its sigma. It must not come to rest at another SoC with a small one."""
+    record, current = running(soc=believed), 1.0
+    _, v1, v2 = record.x
+    faults_seen = []
+    for k in range(200):
+        truth -= current / CHARGE
+        _, r1, tau1, r2, tau2, _ = record.dynamics(truth, 25.0)
+        v1 += (r1 * current - v1) * -math.expm1(-1 / tau1)
+        v2 += (r2 * current - v2) * -math.expm1(-1 / tau2)
+        status, faults = record.tick(1.0, current, predicted(record, truth, current) - v1 - v2, 25.0)
+        faults_seen.append(faults)
+        if k > 60 and status is not Status.INVALID:
+            assert abs(record.x[0] - truth) < 3 * record.root[0, 0], k
+    assert all(faults & Fault.INNOVATION_REJECTED for faults in faults_seen[:30])
+    assert not any(faults & Fault.INNOVATION_REJECTED for faults in faults_seen[60:])
+    assert status is Status.OK
+    assert abs(record.x[0] - truth) < 0.1
+
+
+def test_one_outlier_long_after_another_does_not_widen_the_belief():
+    record = running()
+    record.tick(1.0, 1.0, 3.1, 25.0)
+    for _ in range(40):
+        record.tick(1.0, 1.0, NAN, 25.0)
+    without = copied(record)
+    record.tick(1.0, 1.0, 3.1, 25.0)
+    without.tick(1.0, 1.0, NAN, 25.0)
+    assert record.belief == without.belief
+
+
+def test_charge_is_counted_for_the_timeout_of_the_current_and_no_longer():
+    for steps in (1, 4, 40):
+        record = running(current=2.0, current_timeout_s=5.0)
+        before = record.x[0]
+        for _ in range(steps):
+            record.tick(20.0 / steps)
+        assert (before - record.x[0]) * CHARGE == pytest.approx(2.0 * 5.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("steps", [1, 7, 100])
+def test_soc_sigma_grows_in_proportion_to_the_gap_of_the_current(steps):
+    """sigma^2 = before^2 + (range gap / charge)^2 + the walk of the known sensor errors, however the gap is cut."""
+    for span in (105.0, 205.0):
+        record = running()
+        before = record.P[0, 0]
+        for _ in range(steps):
+            status, faults = record.tick(span / steps, temperature=25.0)
+        assert faults == Fault.CURRENT_MISSING | Fault.VOLTAGE_MISSING
+        assert status is Status.DEGRADED
+        walk = span * (0.05**2 + 0.01**2) * Tuning().current_error_horizon_s / CHARGE**2
+        expected = math.sqrt(before + walk + (CURRENT_RANGE * (span - 5.0) / CHARGE) ** 2)
+        assert record.root[0, 0] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("steps", [2, 10])
+def test_the_rc_voltages_decay_in_a_gap_alike_however_it_is_cut(steps):
+    once, often = running(current=4.0), running(current=4.0)
+    once.tick(20.0)
+    for _ in range(steps):
+        often.tick(20.0 / steps)
+    assert often.x == pytest.approx(once.x, rel=1e-3)  # the tables are read at another SoC
+
+
+def test_a_second_gap_starts_from_no_doubt_of_the_first():
+    record = running()
+    record.tick(100.0)
+    assert record["gap_s"] == pytest.approx(95.0)
+    record.tick(1.0, 1.0)
+    assert record["gap_s"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("present", "after_s", "fault"),
+    [
+        ({"current": 1.0, "temperature": 25.0}, 5.0, Fault.VOLTAGE_MISSING),
+        ({"current": 1.0, "voltage": 3.4}, 60.0, Fault.TEMPERATURE_MISSING),
+        ({"voltage": 3.4, "temperature": 25.0}, 5.0, Fault.CURRENT_MISSING),
+    ],
+    ids=["voltage", "temperature", "current"],
+)
+def test_an_input_is_missing_once_it_is_older_than_its_timeout(present, after_s, fault):
+    record = running()
+    flagged = [bool(record.tick(1.0, **present)[1] & fault) for _ in range(70)]
+    assert flagged == [k + 1 > after_s for k in range(70)]
+    status, faults = agree(record)
+    assert not faults & fault
+    assert status is not Status.INVALID
+
+
+def test_soc_sigma_has_a_ceiling_past_which_it_is_invalid_and_comes_back():
+    record = running()
+    statuses = [record.tick(100.0)[0] for _ in range(30)]
+    assert statuses[0] is Status.DEGRADED
+    assert statuses[-1] is Status.INVALID
+    assert record.root[0, 0] == 0.5
+    for _ in range(30):
+        status, _ = record.tick(1.0, 1.0, predicted(record, 0.6, 1.0), 25.0)
+    assert status is Status.OK
+    assert record.root[0, 0] < 0.2
+
+
+def test_soc_is_not_clamped_inside_and_beyond_the_table_is_said():
+    record = running(soc=0.02)
+    faults = Fault.NONE
+    while record.x[0] > -0.05:
+        assert bool(faults & Fault.OUT_OF_TABLE) == (record.x[0] < -0.02)
+        _, faults = record.tick(1.0, 10.0, NAN, 25.0)
+    assert faults & Fault.OUT_OF_TABLE
+
+
+@pytest.mark.parametrize("temperature", [-20.0, 60.0])
+def test_a_temperature_beyond_the_cell_files_range_is_used_and_said(temperature):
+    record = running()
+    _, faults = record.tick(1.0, 1.0, NAN, temperature)
+    assert faults == Fault.OUT_OF_TABLE
+    assert record["temperature"] == temperature
+
+
+def test_two_samples_of_one_moment_move_no_time():
+    record = running()
+    before = record.belief
+    status, _ = record.tick(0.0, 5.0)
+    assert status is Status.OK
+    assert record.belief == before
+    assert record["current"] == 5.0
+
+
+@pytest.mark.parametrize("voltage", [NAN, 3.5], ids=["no voltage", "voltage"])
+def test_a_step_that_overflows_is_refused_whole_and_the_next_one_works(voltage):
+    record = running()
+    before = record.belief
+    status, faults = record.tick(1e300, 1.0, voltage, 25.0)  # the square of its gap is infinite
+    assert faults & Fault.NUMERIC
+    assert status is Status.DEGRADED
+    assert record.belief == before
+    assert agree(record) == (Status.OK, Fault.NONE)
+
+
+def test_model_error_of_the_rc_voltages_is_the_same_at_any_sample_rate():
+    variances = []
+    for rate_hz in (0.5, 10.0):
+        record = Record(CELL, Tuning(initial_soc=0.6))
+        record.tick(0.0, 2.0, 3.5, 25.0)
+        for _ in range(int(1000 * rate_hz)):
+            record.tick(1 / rate_hz, 2.0, NAN, 25.0)
+        variances.append(np.diag(record.P))
+    assert variances[0] == pytest.approx(variances[1], rel=2e-3)
