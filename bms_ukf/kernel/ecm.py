@@ -9,9 +9,9 @@ charge transfer does (Butler-Volmer with equal coefficients). It matters in the 
 
 Current i is positive on discharge and constant over a step, so the step is exact for any dt: a_j = exp(-dt / tau_j)
 (zero-order hold; Plett, Battery Management Systems I, 2015, section 2.1). r0, r_j and tau_j are taken at the mean SoC,
-so the process is affine in the state and only the OCV says where SoC is. Letting r0(soc) say so too, as sigma points
-would, was measured to do harm: it is known to some ten percent, and its slope times the current then counts as
-evidence (tests/bench/README.md, "r0 at the mean SoC").
+so the process is affine in the state and only the OCV says where SoC is. Letting r0(soc) say so
+too, as sigma points would, was measured to do harm: r0 is known to some ten percent, and its slope times the current
+then counts as evidence (SoC RMSE 1.5 % instead of 0.5 %, mean over the drives of tests/test_accuracy.py).
 """
 
 from __future__ import annotations
