@@ -21,8 +21,8 @@ class ConfigError(BmsError):
     ) -> None:
         self.source, self.key, self.value, self.expected = str(source), key, value, expected
         place = f"{source}: {key}" if key else f"{source}"
-        shown = "" if value is None else f" is {_short(value)};"
-        super().__init__(" ".join(f"{place}:{shown} expected {expected}".split()))
+        found = ":" if value is None else f" is {_short(value)};"
+        super().__init__(" ".join(f"{place}{found} expected {expected}".split()))
 
 
 class PlantError(BmsError):

@@ -69,10 +69,11 @@ def _expected(mistake: dict[str, Any], model: type[BaseModel]) -> str:
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     for part in location:
-        if isinstance(part, str) and part in model.model_fields:
-            annotation = model.model_fields[part].annotation
+        field = model.model_fields.get(str(part))
+        if field is not None:
+            annotation = field.annotation
             nested = [t for t in (annotation, *getattr(annotation, "__args__", ())) if isinstance(t, type)]
             models = [t for t in nested if issubclass(t, BaseModel)]
             if models:
                 model = models[0]
-    return list(model.model_fields)
+    return [field.alias or name for name, field in model.model_fields.items()]

@@ -110,7 +110,7 @@ def test_a_mistake_is_one_line_naming_file_key_and_what_was_expected(config, tmp
     with pytest.raises(ConfigError) as refused:
         config(text)
     line = str(refused.value)
-    assert line.startswith(f"{tmp_path / 'can.toml'}: {key}:")
+    assert line.startswith(f"{tmp_path / 'can.toml'}: {key}")
     assert told in line
     assert "\n" not in line
 

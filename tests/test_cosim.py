@@ -160,7 +160,7 @@ def test_every_step_is_shown_to_the_one_who_watches():
         ({"plant": {"fmu": "lgm50_spme", "variables": {"voltage_V": "voltage"}}}, "voltage_V"),
         ({"plant": {"fmu": "lgm50_spme", "parameters": {"soc_initial": 2.0}}}, "parameters.soc_initial"),
         ({"estimator": {"cell": "nothing"}}, "shipped cells"),
-        ({"bus": {"interface": "nonsense", "channel": "x"}}, "bus.interface: is 'nonsense'"),
+        ({"bus": {"interface": "nonsense", "channel": "x"}}, "bus.interface is 'nonsense'"),
         ({"load": {"segments": [{"cycle": "nothing"}]}}, "shipped loads"),
     ],
 )

@@ -136,7 +136,7 @@ def test_a_signal_that_cannot_say_not_available_is_not_sent(kinds: Matrix) -> No
 def test_an_unknown_protection_is_refused_and_not_ignored(tmp_path: Path) -> None:
     attributes = 'BA_DEF_ BO_ "E2EProfile" STRING ;\nBA_DEF_DEF_ "E2EProfile" "none";\nBA_ "E2EProfile" BO_ 1 "P02";\n'
     (tmp_path / "other.dbc").write_text(SOUND + attributes)
-    with pytest.raises(ConfigError, match=r"Sound: E2EProfile: is 'P02'"):
+    with pytest.raises(ConfigError, match=r"Sound: E2EProfile is 'P02'"):
         protection(Matrix([tmp_path / "other.dbc"]).message("Sound"))
 
 
@@ -155,7 +155,7 @@ def one_line(caught: pytest.ExceptionInfo[ConfigError]) -> str:
 def test_a_misspelt_signal_is_answered_with_the_nearest_names(kinds: Matrix) -> None:
     with pytest.raises(ConfigError) as caught:
         kinds.find("Kinds.Inteel", source="mine.toml", key="signals.current")
-    assert one_line(caught).startswith("mine.toml: signals.current: is 'Kinds.Inteel'; expected a signal of Kinds")
+    assert one_line(caught).startswith("mine.toml: signals.current is 'Kinds.Inteel'; expected a signal of Kinds")
     assert "Kinds.Intel" in str(caught.value)
 
 

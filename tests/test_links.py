@@ -73,5 +73,5 @@ def test_other_traffic_on_the_channel_changes_nothing(link, cell, settings):
 
 
 def test_an_interface_that_cannot_be_opened_is_the_callers_mistake(cell):
-    with pytest.raises(ConfigError, match=r"test: bus\.channel: is 'socketcan:nocan7'"):
+    with pytest.raises(ConfigError, match=r"test: bus\.channel is 'socketcan:nocan7'"):
         BusLink(Estimator(cell), Bus(interface="socketcan", channel="nocan7"), "test")

@@ -76,7 +76,7 @@ def test_a_signal_outside_the_multiplexing_is_in_every_page(foreign: Matrix) -> 
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"current": "Hv.Curent"}, r"mine\.toml: signals\.current: is 'Hv\.Curent'; .*Hv\.Current"),
+        ({"current": "Hv.Curent"}, r"mine\.toml: signals\.current is 'Hv\.Curent'; .*Hv\.Current"),
         ({"cell_voltage": ["Mux.V1"]}, r"mine\.toml: signals\.cell_voltage: .*each of 2 cells"),
         ({"pack_voltage": "Hv.Voltage"}, r"mine\.toml: signals\.pack_voltage: .*each of 2 cells"),
         ({"temperature": ["Mux.Always"] * 3}, r"mine\.toml: signals\.temperature: .*each of 2 cells"),

@@ -237,7 +237,7 @@ def test_an_interface_that_is_not_usable_at_start_is_one_line(vcan, config, monk
     assert ended.value.code == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    assert "can.toml: bus.channel: is 'socketcan:vcan0'; expected a CAN interface that exists and is up" in line
+    assert "can.toml: bus.channel is 'socketcan:vcan0'; expected a CAN interface that exists and is up" in line
     assert ("vcan0 is down" if trouble == "down" else "no interface with this name") in line
 
 
