@@ -147,8 +147,8 @@ class Field:
 
         def real(data: bytes) -> float:
             raw = (from_bytes(data, order) >> shift) & mask
-            value: float = unpack(raw.to_bytes(size, "little"))[0]
-            return NAN if raw in codes or not math.isfinite(value) else value * scale + offset
+            value: float = unpack(raw.to_bytes(size, "little"))[0] * scale + offset
+            return NAN if raw in codes or not math.isfinite(value) else value
 
         size = self.width // 8
         unpack = struct.Struct({2: "<e", 4: "<f", 8: "<d"}.get(size, "<d")).unpack

@@ -77,6 +77,13 @@ def test_extract_equals_cantools(kinds: Matrix, name: str, data: st.DataObject) 
         assert math.isnan(ours), "a word of the value table, or no number"
 
 
+def test_a_double_that_its_scale_makes_infinite_is_no_number(kinds: Matrix) -> None:
+    message, signal = kinds.find("Floats.Double")
+    largest = bytes.fromhex("000000007fe0000000000000")[: message.length]
+    assert message.decode(largest)[signal.name] == math.inf
+    assert math.isnan(Field(message, signal).extract()(largest))
+
+
 @pytest.mark.parametrize("name", ["Kinds.Intel", "Kinds.MotorolaSigned", "Short.Intel"])
 @given(data=st.data())
 def test_insert_equals_cantools(kinds: Matrix, name: str, data: st.DataObject) -> None:
