@@ -9,7 +9,7 @@ import pytest
 
 from bms_ukf import CellParams
 
-# A machine that is busy is not a failure. CI tries the same examples every time; whoever works on the code tries others.
+# A busy machine is not a failure. CI tries the same examples every time; whoever works on the code tries others.
 hypothesis.settings.register_profile("bms-ukf", deadline=None, derandomize="CI" in os.environ)
 hypothesis.settings.load_profile("bms-ukf")
 
