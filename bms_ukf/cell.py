@@ -13,9 +13,8 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
-from scipy.interpolate import PchipInterpolator
 
-from bms_ukf import resources, toml
+from bms_ukf import pchip, resources, toml
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
@@ -143,7 +142,7 @@ class CellParams(toml.Document):
 
     def ocv_V(self, soc: ArrayLike, temperature_degC: float) -> Array:
         """Open-circuit voltage at SoC in 0..1: PCHIP in SoC; linear in temperature between rows, held beyond."""
-        return np.asarray(PchipInterpolator(self.ocv.soc, self._ocv_row(temperature_degC))(soc))
+        return pchip.interpolate(self.ocv.soc, self._ocv_row(temperature_degC), soc)
 
     def dynamics_at(self, soc: ArrayLike, temperature_degC: float) -> dict[str, Array]:
         """`r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s, r0_knee_A` at SoC values in 0..1.

@@ -26,9 +26,10 @@ MAY_IMPORT = {
     "errors": set(),
     "resources": {"errors"},
     "toml": {"errors"},
-    "cell": {"errors", "records", "resources", "toml"},
+    "pchip": set(),
+    "cell": {"errors", "pchip", "records", "resources", "toml"},
     "tuning": {"errors", "toml"},
-    "kernel": {"cell", "kernel", "records", "tuning"},
+    "kernel": {"cell", "kernel", "pchip", "records", "tuning"},
     "estimator": {"cell", "errors", "kernel", "records", "tuning"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
@@ -44,7 +45,7 @@ KNOWN_TO = {
     "click": {"cli"},
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.
-PURE = {"records", "errors", "resources", "toml", "cell", "tuning", "kernel", "estimator"}
+PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator"}
 IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
 
 SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
+from bms_ukf import pchip
 from bms_ukf.cell import CellParams
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.entry import N
@@ -101,7 +101,7 @@ def _ocv_table(cell: CellParams) -> tuple[Array, Array]:
     h = 1 / OCV_INTERVALS
     rows = []
     for temperature in temperatures:
-        coefficients = PchipInterpolator(soc, cell.ocv_V(soc, temperature)).c[::-1].T  # constant term first
+        coefficients = pchip.coefficients(soc, cell.ocv_V(soc, temperature))
         rows.append(coefficients * h ** np.arange(k.OCV_COEFFICIENTS))
     return np.array(rows), temperatures
 
