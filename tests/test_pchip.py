@@ -11,8 +11,11 @@ from scipy.interpolate import PchipInterpolator
 from bms_ukf import pchip
 
 
+MOVES = st.floats(-5, 5).map(lambda move: round(move, 6))  # none so small that scipy's own arithmetic overflows
+
+
 @given(
-    steps=st.lists(st.tuples(st.floats(0.01, 10), st.floats(-5, 5)), min_size=1, max_size=30),
+    steps=st.lists(st.tuples(st.floats(0.01, 10), MOVES), min_size=1, max_size=30),
     where=st.lists(st.floats(0, 1), min_size=1, max_size=20),
 )
 def test_curve_and_coefficients_are_scipy_s(steps, where):
