@@ -10,7 +10,6 @@ from scipy.interpolate import PchipInterpolator
 
 from bms_ukf import pchip
 
-
 MOVES = st.floats(-5, 5).map(lambda move: round(move, 6))  # none so small that scipy's own arithmetic overflows
 
 

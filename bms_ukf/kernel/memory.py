@@ -16,6 +16,7 @@ import ctypes
 import functools
 import hashlib
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -48,12 +49,20 @@ def entry(signature: str) -> Callable[[F], F]:
         if not _DISABLE_JIT:
             # numba stamps a cached function with the size and time of its own file only, and wheels carry a fixed time:
             # without this a new version of an inlined function would never be compiled.
-            compiled._cache._cache_file._source_stamp = _source_stamp()
+            cache_file = compiled._cache._cache_file
+            cache_file._source_stamp = _source_stamp()
+            if not cache_file._load_index():
+                _announce()
             compiled.compile(signature)
             compiled.disable_compile()
         return compiled  # type: ignore[no-any-return]
 
     return compile_now
+
+
+@functools.cache
+def _announce() -> None:
+    sys.stderr.write("bms-ukf: compiling the filter for this machine, once\n")
 
 
 @functools.cache
