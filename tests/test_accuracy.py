@@ -95,12 +95,12 @@ def test_soc_is_within_one_percent_rms_after_ten_minutes(scores, name):
 def test_the_band_holds_the_truth_on_every_drive(scores, name):
     held = [run["coverage95"] for run in scores[name]]
     # The worst is a constant-current charge: the circuit has no diffusion slower than some minutes.
-    assert np.mean(held) > 0.7
-    assert min(held) > 0.6
+    assert np.mean(held) > 0.73
+    assert min(held) > 0.7
 
 
 def test_the_band_holds_the_truth_over_all_drives(scores):
-    assert np.mean([run["coverage95"] for runs in scores.values() for run in runs]) > 0.87
+    assert np.mean([run["coverage95"] for runs in scores.values() for run in runs]) > 0.9
 
 
 def test_a_start_twenty_percent_wrong_is_forgotten_within_twenty_minutes_at_25_degC_and_above(scores):

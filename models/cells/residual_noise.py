@@ -10,7 +10,8 @@ where p_j is (r_j i)^2 passed through a low-pass of time constant tau_j / 2: the
 noise q_j = (1 - exp(-2 dt / tau_j)) (v_rcj_sigma^2 + (rc_rel_sigma r_j i)^2) builds up. The squares of the five sigmas
 are the non-negative least-squares solution over all stretches and lags. Each stretch is weighted by the <e^2> that the
 solution itself expects of it (iterated): weighted by its own, the luckiest stretches would rule, and the sigmas come
-out too small.
+out too small. At last they are scaled to cover nine stretches of ten: errors are not spread evenly over a drive, and a
+filter that is told their mean is too sure where they are large.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scipy.optimize import nnls
 
 STRETCH = 900  # rows of 1 s: longer than the slow time constant, shorter than a change of SoC that matters
 LAGS = np.array([0, 1, 2, 5, 10, 20, 50, 100, 200, 400])
+HELD = 0.9  # the share of the stretches whose <e^2> the sigmas shall cover
 FLOOR_V = 5e-4  # no voltage model is better than this on a real cell
 
 
@@ -62,6 +64,7 @@ def estimate_noise(recordings: Sequence[Recording], tables: Tables, ocv: Callabl
         weighted = (a * weight[:, :, None]).reshape(-1, 5)
         unit = np.sqrt(np.mean(weighted**2, axis=0))
         squares = nnls(weighted / unit, (b * weight).ravel())[0] / unit
+    squares *= np.quantile(b[:, 0] / (a[:, 0] @ squares), HELD)
     white, r0_rel, slow1, slow2, rc_rel = np.sqrt(squares)
     volts = [round(max(float(x), FLOOR_V), 4) for x in (white, slow1, slow2)]
     return Noise(volts[0], round(float(r0_rel), 3), volts[1], volts[2], round(float(rc_rel), 3))
