@@ -129,7 +129,10 @@ class SafeBus:
 
     def close(self) -> None:
         if self._bus is not None:
-            self._bus.shutdown()
+            try:
+                self._bus.shutdown()
+            except _FAILURES as error:
+                log.debug("bus: closing it failed: %s", error)
             self._bus = None
 
     def _usable(self, timeout_s: float) -> can.BusABC | None:
@@ -151,12 +154,7 @@ class SafeBus:
     def _fail(self, error: Exception) -> None:
         if self._attempts == 0:
             log.warning("bus: %s; trying to open it again", error)
-        if self._bus is not None:
-            try:
-                self._bus.shutdown()
-            except _FAILURES as second:
-                log.debug("bus: closing it failed too: %s", second)
-            self._bus = None
+        self.close()
         self._retry_at = time.monotonic() + BACKOFF_S[min(self._attempts, len(BACKOFF_S) - 1)]
         self._attempts += 1
 

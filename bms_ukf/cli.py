@@ -81,6 +81,23 @@ def cosim(
         _write_json(json_path, summary)
 
 
+@cli.command()
+@click.argument("cell")
+@click.option("--soc", default=0.5, show_default=True, help="Mean SoC of the belief, 0..1.")
+@click.option("--sigma", default=0.1, show_default=True, help="Its standard deviation.")
+@click.option("--temperature", default=25.0, show_default=True, help="Of the cell, degC.")
+@click.option("--json", "json_path", type=PATH, callback=_writable, help="Write the figures here.")
+def diagnose(cell: str, soc: float, sigma: float, temperature: float, json_path: Path | None) -> None:
+    """Tell whether a UKF is worth it for a CELL at an uncertainty of its SoC."""
+    from bms_ukf import diagnose, diagnose_view
+    from bms_ukf.cell import CellParams
+
+    found = diagnose.diagnose(CellParams.load(cell), soc, sigma, temperature)
+    diagnose_view.show(found)
+    if json_path is not None:
+        _write_json(json_path, found)
+
+
 def _write_json(path: Path, data: dict[str, Any]) -> None:
     try:
         path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -175,6 +175,9 @@ def _bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path) ->
             value=list(signals.temperature),
             expected=f"one signal, or one for each of {cells} cells",
         )
+    for name in signals.not_available.keys() - {signals.current, *voltages, *signals.temperature}:
+        expected = "a signal that has a role in [signals]"
+        raise ConfigError(source, key="signals.not_available", value=name, expected=expected)
     sign = -1.0 if signals.current_positive == "charge" else 1.0
     return [
         bound("current", "current", 0, signals.current, sign),
@@ -190,7 +193,7 @@ def _reader(message: Message, bound: list[_Bound], cells: int, sensors: int, sou
         return _page_reader(bound, cells, sensors)
     multiplexer = message.get_signal_by_name(str(multiplexers.pop()))
     if multiplexers or multiplexer.multiplexer_signal is not None:
-        raise ConfigError(source, value=message.name, expected="a message with one level of multiplexing")
+        raise ConfigError(source, key="signals", value=message.name, expected="messages with one level of multiplexing")
     select = Field(message, multiplexer).raw()
     always = [b for b in bound if b.signal.multiplexer_ids is None]
     pages = {

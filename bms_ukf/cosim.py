@@ -5,6 +5,7 @@ load -> Plant.step -> sensors -> Sample -> link (direct, or frames over a bus) -
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -105,7 +106,12 @@ def _summary(scenario: Scenario, trace: Trace, link: Link, wall_s: float) -> dic
         "realtime_factor": duration_s / wall_s,
         "frames_in": link.frames_in,
         "frames_out": link.frames_out,
-        "final_soc": float(trace["soc"][-1]),
-        "soc_sigma_final": float(trace["soc_sigma"][-1]),
+        "final_soc": _or_none(trace["soc"][-1]),
+        "soc_sigma_final": _or_none(trace["soc_sigma"][-1]),
         **metrics.score(trace.t_s, trace["soc"], trace["soc_sigma"], trace["soc_ref"]),
     }
+
+
+def _or_none(value: float) -> float | None:
+    """NaN is not JSON."""
+    return None if math.isnan(value) else float(value)

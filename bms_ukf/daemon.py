@@ -22,6 +22,17 @@ from bms_ukf.records import Fault, Sample, Status
 FAULT_HOLD_NS = 1_000_000_000
 POLL_S = 0.1  # how long a request to stop may wait
 
+# Wrong with one sample, and no longer with the next: a scan is many samples, and what it publishes tells of them all.
+PASSING = (
+    Fault.CURRENT_MISSING
+    | Fault.CURRENT_IMPLAUSIBLE
+    | Fault.VOLTAGE_IMPLAUSIBLE
+    | Fault.TEMPERATURE_IMPLAUSIBLE
+    | Fault.INNOVATION_REJECTED
+    | Fault.TIME_REVERSED
+    | Fault.NUMERIC
+)
+
 
 class Clock(Protocol):
     """The time of received frames; see `clock`."""
@@ -51,6 +62,7 @@ class Daemon:
         self._clock = clock or StampClock()
         self._silence_ns = silence_s * 1e9
         self._published_ns = 0
+        self._passed = Fault.NONE  # of PASSING, since the last set
         self._refused = _Recent(Fault.E2E)
         self._failed = _Recent(Fault.BUS)
 
@@ -72,6 +84,7 @@ class Daemon:
         )
         if sample is not None:
             self.estimator.step(sample, out=self.estimate)
+            self._passed |= self.estimate.faults & PASSING
             if _closes_scan(sample):
                 self._publish(t_ns)
         self._break_silence(t_ns)
@@ -87,6 +100,8 @@ class Daemon:
         estimate = self.estimate
         received = self.decoder.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self.bus.failures + received.lost)
+        shown |= self._passed
+        self._passed = Fault.NONE
         if shown:
             estimate.faults |= shown
             if estimate.status is Status.OK:

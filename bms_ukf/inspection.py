@@ -72,7 +72,8 @@ def _table(variables: Sequence[Any]) -> list[str]:
     rows = [_COLUMNS, *map(_row, shown)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    return [*lines, f"and {len(variables) - len(shown)} local variables"]
+    hidden = len(variables) - len(shown)
+    return [*lines, f"and {hidden} local variables"] if hidden else lines
 
 
 def _row(variable: Any) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from bms_ukf.clock import LockstepClock
 from bms_ukf.codec import Decoder
 from bms_ukf.config import Bus
 from bms_ukf.daemon import Daemon
+from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
 from bms_ukf.node import EstimateDecoder, SampleEncoder
 from bms_ukf.records import Estimate, Sample, Status
@@ -55,8 +56,13 @@ class BusLink:
         self._patience_s, self._wait_s = (0.0, 0.0) if in_process else (ANSWER_TIMEOUT_S, 0.001)
         self._clock = LockstepClock()
         self._vehicle = SafeBus(lambda: open_bus(settings, source))
+        try:
+            bus = SafeBus(lambda: open_bus(settings, source))
+        except ConfigError:  # an interface that can be opened once only
+            self._vehicle.close()
+            raise
         self._daemon = Daemon(
-            SafeBus(lambda: open_bus(settings, source)),
+            bus,
             estimator,
             Decoder(cells=estimator.cells),
             clock=self._clock,
@@ -68,6 +74,8 @@ class BusLink:
 
     def exchange(self, sample: Sample) -> Estimate:
         """An estimate with status INVALID if no answer comes: lost frames are part of what a bus is."""
+        while self._vehicle.recv(0.0) is not None:  # an answer that came too late is not this step's
+            self.frames_out += 1
         self._clock.set(sample.t_ns)
         for frame in self._encoder.encode(sample):
             self.frames_in += self._vehicle.send(frame, sample.t_ns)

@@ -71,10 +71,11 @@ class Check:
 
 
 def judge(summary: dict[str, Any]) -> list[Check]:
-    """The project's goals, each with what the summary of a run reached, in percent."""
-    rmse, coverage = summary["after_600s"]["rmse_pct"], summary["coverage95"]
+    """The goals, each with what the summary of a run reached, in percent. A run below 600 s has no goal after them."""
+    late, coverage = summary["after_600s"], summary["coverage95"]
     covered = None if coverage is None else 100 * coverage
-    return [
-        Check("SoC RMSE after 600 s", rmse, "at most 1 %", rmse is not None and rmse <= 1),
-        Check("95 % band holds the truth", covered, "90 to 100 %", covered is not None and 90 <= covered <= 100),
-    ]
+    checks = [Check("95 % band holds the truth", covered, "90 to 100 %", covered is not None and 90 <= covered <= 100)]
+    if late["n_scored"] or late["n_unavailable"]:
+        rmse = late["rmse_pct"]
+        checks.insert(0, Check("SoC RMSE after 600 s", rmse, "at most 1 %", rmse is not None and rmse <= 1))
+    return checks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from bms_ukf.errors import ConfigError
@@ -33,14 +34,15 @@ def find(given: str | Path, kind: str, suffix: str, *, relative_to: Path | None 
 
     Raises ConfigError naming the shipped names when there is no such file.
     """
-    path = Path(given).expanduser()
-    if relative_to is not None and not path.is_absolute() and (relative_to / path).is_file():
-        return relative_to / path
-    if path.is_file():
-        return path
-    shipped = folder(kind) / f"{given}{suffix}"
-    if path.name == str(given) and shipped.is_file():
-        return shipped
+    with suppress(OSError, RuntimeError):  # a name too long for the file system; a home of nobody
+        path = Path(given).expanduser()
+        if relative_to is not None and not path.is_absolute() and (relative_to / path).is_file():
+            return relative_to / path
+        if path.is_file():
+            return path
+        shipped = folder(kind) / f"{given}{suffix}"
+        if path.name == str(given) and shipped.is_file():
+            return shipped
     raise ConfigError(given, expected=f"a file, or one of the shipped {kind}: {', '.join(names(kind, suffix))}")
 
 

@@ -33,7 +33,7 @@ def serve(path: Path) -> None:
     estimator = Estimator(setup.cell, setup.config.cells, setup.config.estimator)
     daemon = Daemon(bus, estimator, setup.decoder, silence_s=setup.config.silence_s)
     previous = {number: signal.signal(number, on_signal) for number in (signal.SIGTERM, signal.SIGINT)}
-    log.info("running: %s", explain(path).replace("\n", "; "))
+    log.info("running: %s", _explanation(setup).replace("\n", "; "))
     try:
         daemon.run(stop)
     finally:
@@ -47,7 +47,10 @@ def serve(path: Path) -> None:
 
 def explain(path: Path) -> str:
     """What a CONFIG file means, in a few lines. Raises ConfigError as `serve` would, short of opening the bus."""
-    setup = _checked(path)
+    return _explanation(_checked(path))
+
+
+def _explanation(setup: Setup) -> str:
     config, limits = setup.config, setup.cell.cell
     signals = config.signals
     lines = [

@@ -97,7 +97,7 @@ class Trace:
         self._n = row + 1
 
     def write_csv(self, path: Path) -> None:
-        """Write all rows, numbers with 9 significant digits."""
+        """Write all rows, numbers with 9 significant digits. Raises ConfigError if `path` cannot be written."""
         optional = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
         names = ["time_s", *_ESTIMATED, "status", "faults", *optional]
         columns = [
@@ -107,10 +107,13 @@ class Trace:
             [_fault_words(value) for value in self.faults.tolist()],
             *(_texts(self[name]) for name in optional),
         ]
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows(zip(*columns, strict=True))
+        try:
+            with path.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(names)
+                writer.writerows(zip(*columns, strict=True))
+        except OSError as error:
+            raise ConfigError(path, expected=f"a file that can be written ({error.strerror})") from None
 
     @classmethod
     def read_csv(cls, path: Path) -> Trace:

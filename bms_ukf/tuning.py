@@ -21,7 +21,7 @@ class Tuning(Section):
     # What is believed before the first voltage. The default is no opinion: that voltage, at rest or not, decides.
     initial_soc: Annotated[float, Field(ge=0, le=1)] = 0.5
     initial_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.3
-    initial_current_sigma_A: NonNegative | None = None  # the load before the first sample; None: C/5
+    initial_current_sigma_A: NonNegative | None = None  # unseen load before the first sample; None: C/5
 
     current_offset_sigma_A: Positive | None = None  # None: C/100
     current_gain_sigma: NonNegative = 0.01

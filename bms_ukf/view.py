@@ -122,7 +122,8 @@ def verdict(summary: dict[str, Any], page: Path | None = None, console: Console 
     """Print what a run reached against the project's goals, and where its report is."""
     console = console or Console()
     if not summary["n_scored"]:
-        console.print("No reference SoC: nothing is scored.")
+        why = "No estimate where there is a reference SoC" if summary["n_unavailable"] else "No reference SoC"
+        console.print(f"{why}: nothing is scored.")
     else:
         table = Table.grid(padding=(0, 2))
         table.add_column(width=26)

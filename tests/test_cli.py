@@ -209,6 +209,8 @@ def test_a_signal_ends_the_daemon_tidily(bms_ukf, config, monkeypatch, number, c
         (["cosim", "demo", "--json", "no/such/folder/r.json"], "no/such/folder/r.json"),
         (["cosim", "demo", "--out", "no/such/folder/trace.csv"], "no/such/folder/trace.csv"),
         (["cosim", "demo", "--out", "."], ".: expected a file to be written"),
+        (["cosim", "x" * 300], "shipped scenarios: demo"),
+        (["cosim", "~nobody-of-that-name/x.toml"], "shipped scenarios: demo"),
         (["run", "nothing.toml"], "nothing.toml: expected a readable TOML file"),
     ],
 )

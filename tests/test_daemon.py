@@ -229,6 +229,27 @@ def test_a_pack_is_answered_once_a_scan_and_every_cell_in_turn(cell, monkeypatch
         assert soc[-1] > soc[0] + 0.005
 
 
+def test_a_fault_of_one_frame_is_told_with_its_scan_though_other_frames_come_after_it(settled, samples):
+    spoilt, good = samples(62)[60:]
+    settled.feed(replace(spoilt, current_A=900.0))
+    settled.feed(good)
+    faults = [told.faults for told in settled.published()]
+    assert "CurrentImplausible" in faults[0]
+    assert faults[1] == set()
+
+
+def test_a_fault_of_any_cell_is_told_whichever_page_it_is_on(cell, monkeypatch):
+    monkeypatch.setattr(daemon_module, "POLL_S", 0.0)
+    with rig_of(cell, cells=6) as rig:
+        for k in range(1, 30):
+            rig.feed(Sample(k * SECOND_NS, 0.0, np.full(6, 3.7), 25.0))
+        rig.frames()
+        for k, volts in ((30, 8.0), (31, 2.6), (32, 3.7)):
+            rig.feed(Sample(k * SECOND_NS, 0.0, np.array([volts, 3.7, 3.7, 3.7, 3.7, 3.7]), 25.0))
+        told = [estimate.faults for estimate in rig.estimates()]
+        assert told == [Fault.VOLTAGE_IMPLAUSIBLE, Fault.INNOVATION_REJECTED, Fault.NONE]
+
+
 def test_before_everything_was_seen_it_says_so_and_gives_no_soc(rig):
     rig.feed(Sample(SECOND_NS, current_A=1.0, voltage_V=3.8))
     (told,) = rig.published()

@@ -6,9 +6,9 @@ import itertools
 import math
 
 import pytest
-from can import Message
+from can import CanOperationError, Message
 
-from bms_ukf import ConfigError, Estimator, Sample, Status
+from bms_ukf import ConfigError, Estimator, Sample, Status, links
 from bms_ukf.bus import open_bus
 from bms_ukf.config import Bus
 from bms_ukf.links import BusLink, DirectLink
@@ -70,6 +70,22 @@ def test_other_traffic_on_the_channel_changes_nothing(link, cell, settings):
             other.send(Message(arbitration_id=0x121, is_extended_id=True, data=b"\xff" * 8))
             assert link.exchange(sample(k)) == alone.exchange(sample(k))
     alone.close()
+
+
+def test_an_interface_that_opens_once_only_is_refused_and_not_left_open(cell, settings, monkeypatch):
+    opened = []
+
+    def open_once(*arguments: object) -> object:
+        if opened:
+            raise ConfigError("test", expected="an interface that is not in use")
+        opened.append(open_bus(*arguments))  # type: ignore[arg-type]
+        return opened[0]
+
+    monkeypatch.setattr(links, "open_bus", open_once)
+    with pytest.raises(ConfigError, match="not in use"):
+        BusLink(Estimator(cell), settings, "test")
+    with pytest.raises(CanOperationError):
+        opened[0].recv(0.0)
 
 
 def test_an_interface_that_cannot_be_opened_is_the_callers_mistake(cell):

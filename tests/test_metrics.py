@@ -81,7 +81,18 @@ def test_rows_without_a_reference_are_left_out() -> None:
 def test_nothing_to_score_gives_none_and_fails_every_goal(rows: tuple[list[float], ...]) -> None:
     result = score(*rows)
     assert all(result[key] is None and result["after_600s"][key] is None for key in FIGURES)
-    assert [check.passed for check in judge(result)] == [False, False]
+    assert [check.passed for check in judge(result)] == [False]
+
+
+@pytest.mark.parametrize(("end_s", "goals"), [(599.0, 1), (600.0, 2)])
+def test_a_run_that_ends_before_600_s_is_not_judged_by_what_comes_after(end_s: float, goals: int) -> None:
+    checks = judge(score([0.0, end_s], [0.5, 0.5], [0.01, 0.01], [0.5, 0.5]))
+    assert [check.passed for check in checks] == [True] * goals
+
+
+def test_an_estimate_lost_before_600_s_fails_both_goals() -> None:
+    checks = judge(score([0.0, 600.0], [NAN, NAN], [NAN, NAN], [0.5, 0.5]))
+    assert [check.passed for check in checks] == [False, False]
 
 
 @pytest.mark.parametrize(

@@ -77,9 +77,9 @@ def test_a_signal_outside_the_multiplexing_is_in_every_page(foreign: Matrix) -> 
     ("change", "named"),
     [
         ({"current": "Hv.Curent"}, r"mine\.toml: signals\.current is 'Hv\.Curent'; .*Hv\.Current"),
-        ({"cell_voltage": ["Mux.V1"]}, r"mine\.toml: signals\.cell_voltage: .*each of 2 cells"),
-        ({"pack_voltage": "Hv.Voltage"}, r"mine\.toml: signals\.pack_voltage: .*each of 2 cells"),
-        ({"temperature": ["Mux.Always"] * 3}, r"mine\.toml: signals\.temperature: .*each of 2 cells"),
+        ({"cell_voltage": ["Mux.V1"]}, r"mine\.toml: signals\.cell_voltage is .*each of 2 cells"),
+        ({"pack_voltage": "Hv.Voltage"}, r"mine\.toml: signals\.pack_voltage is .*each of 2 cells"),
+        ({"temperature": ["Mux.Always"] * 3}, r"mine\.toml: signals\.temperature is .*each of 2 cells"),
     ],
 )
 def test_a_map_that_does_not_fit_names_the_file_and_the_key(
@@ -117,6 +117,12 @@ def test_a_message_that_cannot_be_told_apart_is_refused(tmp_path: Path, current:
     matrix = Matrix([tmp_path / "foreign.dbc", tmp_path / "nested.dbc"])
     with pytest.raises(ConfigError, match=named):
         Decoder(SignalMap(current, "charge", ["Mux.V1"]), matrix, source="mine.toml")
+
+
+def test_a_code_for_a_signal_without_a_role_is_refused(foreign: Matrix) -> None:
+    signals = SignalMap("Hv.Current", "charge", ["Mux.V1"], not_available={"Hv.Warn": [255]})
+    with pytest.raises(ConfigError, match=r"mine.toml: signals.not_available is 'Hv.Warn'"):
+        Decoder(signals, foreign, source="mine.toml")
 
 
 def test_nothing_is_sent_unprotected(foreign: Matrix) -> None:

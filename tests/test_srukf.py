@@ -76,7 +76,7 @@ def test_every_step_of_a_drive_equals_the_textbook_filter(alpha, tolerance, vary
         _, faults = record.tick(dt, current, voltage, temperature)
         assert not faults & (Fault.NUMERIC | Fault.VOLTAGE_IMPLAUSIBLE | Fault.CURRENT_IMPLAUSIBLE)
         if k == 0:
-            twin.start(temperature)
+            twin.start(current, temperature)
         else:
             twin.predict(dt, current, temperature)
         twin.update(voltage, current, temperature)
@@ -100,13 +100,15 @@ def test_on_a_linear_cell_it_is_a_kalman_filter(alpha):
     noise, charge = LINEAR.noise, 18000.0
     r0, r1, tau1, r2, tau2 = 0.02, 0.012, 15.0, 0.015, 400.0
     H = np.array([1.0, -1.0, -1.0])
-    x = np.array([0.6, 0.0, 0.0])
-    P = np.diag([0.04, noise.v_rc1_sigma_V**2 + r1**2, noise.v_rc2_sigma_V**2 + r2**2])  # C/5 is 1 A
     for k in range(2000):
         current, voltage = 2.0 * rng.standard_normal(), 3.7 + 0.05 * rng.standard_normal()
         dt = rng.uniform(0.01, 3.0)
         record.tick(dt, current, voltage, 25.0)
-        if k > 0:
+        if k == 0:
+            x = np.array([0.6, r1 * current / 2, r2 * current / 2])
+            before = 1.0 + (current / 2) ** 2  # C/5 is 1 A
+            P = np.diag([0.04, noise.v_rc1_sigma_V**2 + r1**2 * before, noise.v_rc2_sigma_V**2 + r2**2 * before])
+        else:
             a1, a2 = math.exp(-dt / tau1), math.exp(-dt / tau2)
             efficiency = 0.99 if current < 0 else 1.0
             walk = (0.05**2 + (0.01 * current) ** 2) * tuning.current_error_horizon_s / charge**2

@@ -71,6 +71,16 @@ def test_without_an_opinion_the_first_voltage_decides_the_soc(soc, current):
     assert record.root[0, 0] < 0.2
 
 
+@pytest.mark.parametrize("current", [10.0, 5.0, -3.0])
+@pytest.mark.parametrize("minutes", [0, 60])
+def test_a_start_under_load_is_honest_whether_the_load_is_new_or_old(current, minutes):
+    record, soc = Record(CELL), 0.6
+    _, r1, tau1, r2, tau2, _ = record.dynamics(soc, 25.0)
+    begun = [r * current * -math.expm1(-60 * minutes / tau) for r, tau in ((r1, tau1), (r2, tau2))]
+    record.tick(0.0, current, predicted(record, soc, current) - sum(begun), 25.0)
+    assert abs(record.x[0] - soc) < 2 * record.root[0, 0]
+
+
 def test_the_first_soc_is_the_one_told_before_any_voltage_is_fused():
     record = Record(CELL, Tuning(initial_soc=0.35, initial_soc_sigma=0.001))
     record.tick(0.0, 0.0, record.ocv(0.35, 25.0), 25.0)
@@ -121,10 +131,22 @@ def test_an_outlier_leaves_the_belief_as_if_it_had_not_come():
     assert agree(record) == (Status.OK, Fault.NONE)
 
 
-@pytest.mark.parametrize(("believed", "truth"), [(0.9, 0.6), (0.6, 0.9), (0.6, 0.1), (0.1, 0.6), (0.8, 0.05)])
-def test_voltages_refused_for_reject_s_are_believed_in_the_end_and_the_sigma_is_honest(believed, truth):
+@pytest.mark.parametrize(
+    ("believed", "truth", "current"),
+    [
+        (0.9, 0.6, 1.0),
+        (0.6, 0.9, 1.0),
+        (0.6, 0.1, 1.0),
+        (0.1, 0.6, 1.0),
+        (0.8, 0.05, 1.0),
+        (0.9, 0.6, 10.0),
+        (0.6, 0.9, 10.0),
+        (0.3, 0.7, -3.0),
+    ],
+)
+def test_voltages_refused_for_reject_s_are_believed_in_the_end_and_the_sigma_is_honest(believed, truth, current):
     """The belief was wrong by far more than its sigma. It must not come to rest at another SoC with a small one."""
-    record, current = running(soc=believed), 1.0
+    record = running(soc=believed, current=current)
     _, v1, v2 = record.x
     faults_seen = []
     for k in range(200):
@@ -192,6 +214,20 @@ def test_a_second_gap_starts_from_no_doubt_of_the_first():
     assert record["gap_s"] == pytest.approx(95.0)
     record.tick(1.0, 1.0)
     assert record["gap_s"] == 0.0
+
+
+def test_a_current_that_comes_after_the_voltage_of_its_moment_ends_the_gap_too():
+    record = running()
+    record.tick(100.0, voltage=predicted(record, *record.x[:1], 0.0))
+    record.tick(0.0, 1.0)
+    assert record["gap_s"] == 0.0
+
+
+def test_an_interval_longer_than_the_timeout_of_the_current_is_not_passed_over_in_silence():
+    """Its charge is counted in part only, even though the current that closes it is new."""
+    record = running(current_timeout_s=5.0)
+    assert agree(record, dt=5.0) == (Status.OK, Fault.NONE)
+    assert agree(record, dt=6.0) == (Status.DEGRADED, Fault.CURRENT_MISSING)
 
 
 @pytest.mark.parametrize(

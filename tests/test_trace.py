@@ -114,6 +114,11 @@ def test_columns_show_only_the_rows_appended_and_the_capacity_is_a_limit() -> No
     assert len(trace) == 2
 
 
+def test_a_place_that_cannot_be_written_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"^/proc/trace\.csv: expected a file that can be written"):
+        Trace(0).write_csv(Path("/proc/trace.csv"))
+
+
 def test_an_empty_trace_is_a_header(tmp_path: Path) -> None:
     Trace(0).write_csv(tmp_path / "t.csv")
     assert (tmp_path / "t.csv").read_text() == "time_s,soc,soc_sigma,voltage_pred_V,innovation_V,nis,status,faults\n"

@@ -160,3 +160,9 @@ def test_a_run_without_a_reference_is_told_and_not_judged() -> None:
     console = log()
     verdict(metrics.score([0.0], [0.5], [0.1], [math.nan]), None, console)
     assert console.file.getvalue() == "No reference SoC: nothing is scored.\n"
+
+
+def test_a_run_without_an_estimate_is_not_taken_for_one_without_a_reference() -> None:
+    console = log()
+    verdict(metrics.score([0.0], [math.nan], [math.nan], [0.5]), None, console)
+    assert "No estimate" in console.file.getvalue()

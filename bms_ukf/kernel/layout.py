@@ -9,7 +9,10 @@ from __future__ import annotations
 from bms_ukf.kernel.memory import inline
 
 N_RC = 2
-N_MAX = 5  # the largest filter any variant may have; sizes the vectors on the stack
+# The largest filter any variant may have. These size the vectors on the stack: x, packed sqrt_P, a dense n x n.
+N_MAX = 5
+PACKED_MAX = N_MAX * (N_MAX + 1) // 2
+DENSE_MAX = N_MAX * N_MAX
 
 # State index. SoC comes first: then the only sigma points that move SoC are +-gamma * sqrt_P[0, 0], and soc_sigma is
 # sqrt_P[0, 0] itself.

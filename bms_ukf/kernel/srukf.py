@@ -21,14 +21,17 @@ import math
 from typing import Any
 
 from bms_ukf.kernel.layout import (
+    DENSE_MAX,
     H_ALPHA,
     H_B,
     H_INNOVATION,
     H_INNOVATION_VAR,
     H_VOLTAGE_PRED,
+    N_MAX,
     P_E2,
     P_GAMMA,
     P_W,
+    PACKED_MAX,
     SOC,
     V_RC1,
     held_at,
@@ -41,8 +44,8 @@ from bms_ukf.kernel.memory import inline, real, vector
 @inline
 def predict(s: Any, o: int, n: int, a: Any, c: Any, q: Any) -> bool:
     """Time update of the record at `o`: x <- a x + c, sqrt_P <- tria([diag(a) sqrt_P, diag(q)]); n numbers each."""
-    x = vector(s, 5)
-    root = vector(s, 15)
+    x = vector(s, N_MAX)
+    root = vector(s, PACKED_MAX)
     for j in range(n):
         x[j] = a[j] * s[o + j] + c[j]
         for k in range(j + 1):
@@ -58,7 +61,7 @@ def triangularise(s: Any, n: int, root: Any, q: Any) -> None:
     The reflection for column j touches only that column and the noise columns 0..j, the others being zero below row j
     (`noise` keeps what earlier reflections spilled into them). A zero variance would divide 0 by 0: q is positive.
     """
-    noise = vector(s, 25)
+    noise = vector(s, DENSE_MAX)
     for j in range(n):
         for k in range(n):
             noise[n * j + k] = real(s, 0)
@@ -92,7 +95,7 @@ def innovate(p: Any, s: Any, o: int, n: int, z: Any, drop: Any, g0: Any, g_plus:
     `g0, g_plus, g_minus`: OCV at SoC x[0] and at x[0] +- gamma sqrt_P[0, 0]; `drop`: the ohmic drop; `r`: variance of
     the measurement. The belief (x, sqrt_P) is not touched, so a gate can stand between this and `update`.
     """
-    b = vector(s, 5)
+    b = vector(s, N_MAX)
     e = p[P_W] * (g_plus + g_minus - g0 - g0)
     z_pred = g0 + e - drop
     for j in range(V_RC1, n):
@@ -125,9 +128,9 @@ def update(s: Any, o: int, n: int) -> bool:
     Carlson's triangular update (AIAA Journal 11(9), 1973, pp. 1259-1265), from the last column to the first: sums of
     squares only. Variances shrink or stay.
     """
-    x = vector(s, 5)
-    root = vector(s, 15)
-    gain = vector(s, 5)
+    x = vector(s, N_MAX)
+    root = vector(s, PACKED_MAX)
+    gain = vector(s, N_MAX)
     h = o + held_at(n)
     for j in range(n):
         gain[j] = real(s, 0)

@@ -21,6 +21,7 @@ from bms_ukf.kernel.layout import (
     H_TEMPERATURE_AGE,
     H_VOLTAGE_AGE,
     H_VOLTAGE_PRED,
+    N_MAX,
     N_RC,
     P_CE_CHARGE,
     P_CHARGE_COULOMB,
@@ -95,7 +96,7 @@ def step_cell(p: Any, s: Any, o: int, n: int, dt: Any, i: Any, v: Any, T: Any) -
     if math.isfinite(s[h + H_VOLTAGE_AGE]):
         faults |= advance(p, s, o, n, dt)
     else:
-        faults |= start(p, s, o, n, v)
+        start(p, s, o, n, v)
     if math.isfinite(s[h + H_VOLTAGE_AGE]) and math.isfinite(v) and not faults & NUMERIC:
         faults |= fuse(p, s, o, n, v)
     faults |= missing(p, s, o, n)
@@ -131,40 +132,44 @@ def hold_inputs(p: Any, s: Any, h: int, dt: Any, i: Any, v: Any, T: Any) -> int:
 
 
 @inline
-def start(p: Any, s: Any, o: int, n: int, v: Any) -> int:
-    """The belief before the first voltage is fused, once current, temperature and voltage are known."""
+def start(p: Any, s: Any, o: int, n: int, v: Any) -> None:
+    """Set the belief before the first voltage is fused, once current, temperature and voltage are known."""
     h = o + held_at(n)
     i = s[h + H_CURRENT]
     T = s[h + H_TEMPERATURE]
-    if not (math.isfinite(v) and math.isfinite(i) and math.isfinite(T)):
-        return 0
-    believe(p, s, o, n, p[P_INITIAL_SOC], p[P_INITIAL_SIGMA])
-    s[h + H_VOLTAGE_AGE] = real(s, 0)
-    return 0
+    if math.isfinite(v) and math.isfinite(i) and math.isfinite(T):
+        # The load may have begun just now or long ago: the RC voltages are between nothing and r i.
+        half = i / real(s, 2)
+        for j in range(N_RC):
+            s[o + V_RC1 + j] = dynamics(p, p[P_INITIAL_SOC], T, 1 + 2 * j) * half
+        before = math.sqrt(p[P_INITIAL_CURRENT] * p[P_INITIAL_CURRENT] + half * half)
+        believe(p, s, o, n, p[P_INITIAL_SOC], p[P_INITIAL_SIGMA], before)
+        s[h + H_VOLTAGE_AGE] = real(s, 0)
 
 
 @inline
-def believe(p: Any, s: Any, o: int, n: int, soc: Any, sigma: Any) -> None:
-    """Set the belief to a SoC and its sigma, with RC voltages as wide as the current before may have left them."""
+def believe(p: Any, s: Any, o: int, n: int, soc: Any, sigma: Any, before: Any) -> None:
+    """Set SoC and its sigma; the RC voltages stay, as wide as an unknown current of sigma `before` has left them."""
     h = o + held_at(n)
     for k in range(n):
-        s[o + k] = real(s, 0)
         for j in range(k + 1):
             s[o + root_at(n) + tri(k, j)] = real(s, 0)
     s[o + SOC] = soc
     s[o + root_at(n) + tri(SOC, SOC)] = sigma
     for j in range(N_RC):
-        before = dynamics(p, soc, s[h + H_TEMPERATURE], 1 + 2 * j) * p[P_INITIAL_CURRENT]
-        s[o + root_at(n) + tri(V_RC1 + j, V_RC1 + j)] = math.sqrt(p[P_VAR_RC + j] + before * before)
+        drop = dynamics(p, soc, s[h + H_TEMPERATURE], 1 + 2 * j) * before
+        s[o + root_at(n) + tri(V_RC1 + j, V_RC1 + j)] = math.sqrt(p[P_VAR_RC + j] + drop * drop)
 
 
 @inline
 def advance(p: Any, s: Any, o: int, n: int, dt: Any) -> int:
     """Predict over dt under the held current; past its timeout no charge is invented, and SoC is doubted instead."""
     h = o + held_at(n)
-    if dt <= real(s, 0):
-        return 0  # another measurement of the same instant
     fresh = s[h + H_CURRENT_AGE] <= real(s, 0)
+    if dt <= real(s, 0):  # another measurement of the same instant: it may end a gap, but moves nothing
+        if fresh:
+            s[h + H_GAP_S] = real(s, 0)
+        return 0
     span = dt if fresh else s[h + H_CURRENT_AGE]
     gap = clamp(span - p[P_CURRENT_TIMEOUT], real(s, 0), dt)
     known = dt - gap
@@ -175,9 +180,9 @@ def advance(p: Any, s: Any, o: int, n: int, dt: Any) -> int:
     i = s[h + H_CURRENT]
     T = s[h + H_TEMPERATURE]
     soc = s[o + SOC]
-    a = vector(s, 5)
-    c = vector(s, 5)
-    q = vector(s, 5)
+    a = vector(s, N_MAX)
+    c = vector(s, N_MAX)
+    q = vector(s, N_MAX)
     tiny = real(s, TINY_ROOT)
 
     ce = p[P_CE_CHARGE] if i < real(s, 0) else real(s, 1)
@@ -211,7 +216,7 @@ def advance(p: Any, s: Any, o: int, n: int, dt: Any) -> int:
         return NUMERIC
     sigma = o + root_at(n) + tri(SOC, SOC)
     s[sigma] = min(s[sigma], p[P_SOC_SIGMA_MAX])
-    return 0
+    return CURRENT_MISSING if gap > real(s, 0) else 0
 
 
 @inline
@@ -242,12 +247,15 @@ def fuse(p: Any, s: Any, o: int, n: int, v: Any) -> int:
 
 @inline
 def reject(p: Any, s: Any, o: int, n: int) -> int:
-    """Refuse a voltage; after P_REJECT_S of nothing else the belief is what is wrong, and is forgotten."""
+    """Refuse a voltage; after P_REJECT_S of nothing else it is the SoC believed that is wrong, and is forgotten.
+
+    The RC voltages are not: they follow from the current, and under load a SoC found without them would be far off.
+    """
     h = o + held_at(n)
     if not math.isfinite(s[h + H_REJECTED_S]):
         s[h + H_REJECTED_S] = real(s, 0)
     if s[h + H_REJECTED_S] >= p[P_REJECT_S]:
-        believe(p, s, o, n, real(s, 0.5), p[P_SOC_SIGMA_MAX])
+        believe(p, s, o, n, real(s, 0.5), p[P_SOC_SIGMA_MAX], p[P_INITIAL_CURRENT])
         s[h + H_REJECTED_S] = real(s, math.nan)
     return INNOVATION_REJECTED
 

@@ -2,7 +2,7 @@
 
 Sigma points describe a curve by three values. Over +-35 % SoC (a start that is told 20 % sigma) that is not enough: the
 update would land beside the truth and be sure of it. Given SoC, though, everything else is linear and Gaussian, so the
-posterior's mean and covariance follow exactly from a quadrature over SoC alone (Rao-Blackwellised moment matching).
+posterior's mean and covariance follow from a quadrature over SoC alone (Rao-Blackwellised moment matching).
 
 With x = mean + sqrt_P xi and xi standard normal, SoC is mean + sqrt_P[0, 0] xi_0. For every xi_0:
     residual    e(xi_0) = z - ocv(soc) + v_rc1 + v_rc2, these at their mean given SoC
@@ -18,10 +18,11 @@ import math
 from typing import Any
 
 from bms_ukf.kernel.ecm import ocv
-from bms_ukf.kernel.layout import H_B, SOC, V_RC1, held_at, root_at, tri
+from bms_ukf.kernel.layout import H_B, N_MAX, PACKED_MAX, SOC, V_RC1, held_at, root_at, tri
 from bms_ukf.kernel.memory import inline, real, vector
 from bms_ukf.kernel.srukf import commit
 
+MOMENTS = 5  # see `moments`
 POINTS = 64  # a pass; the second pass spreads them over what the first has left
 REACH = 5.0  # sigmas of the belief, or of what the first pass has left of it
 SOC_MIN, SOC_MAX = -0.02, 1.02  # no SoC lies outside: the tables' slack
@@ -41,7 +42,7 @@ def update_wide(p: Any, s: Any, o: int, n: int, z: Any, T: Any, r: Any) -> bool:
     # Of the tables, what the belief reaches; if it reaches nothing of them, the end that is nearest to it.
     low = max(first, min(-reach, last - reach))
     high = min(last, max(reach, first + reach))
-    m = vector(s, 5)
+    m = vector(s, MOMENTS)
     for _ in range(2):
         moments(p, s, o, n, z, T, variance, low, high, m)
         reach = real(s, REACH) * math.sqrt(m[2]) + (high - low) / real(s, POINTS)
@@ -56,8 +57,8 @@ def moments(p: Any, s: Any, o: int, n: int, z: Any, T: Any, variance: Any, low: 
 
     Writes m = [E xi_0, E e, var xi_0, cov(xi_0, e), var e].
     """
-    log_weight = vector(s, 64)
-    residual = vector(s, 64)
+    log_weight = vector(s, POINTS)
+    residual = vector(s, POINTS)
     step = (high - low) / real(s, POINTS)
     largest = real(s, -math.inf)
     before = _residual(p, s, o, n, z, T, low)
@@ -73,7 +74,7 @@ def moments(p: Any, s: Any, o: int, n: int, z: Any, T: Any, variance: Any, low: 
         largest = max(largest, log_weight[k])
         before = after
     total = real(s, 0)
-    for j in range(5):
+    for j in range(MOMENTS):
         m[j] = real(s, 0)
     for k in range(POINTS):
         weight = math.exp(log_weight[k] - largest)
@@ -103,10 +104,10 @@ def _residual(p: Any, s: Any, o: int, n: int, z: Any, T: Any, xi: Any) -> Any:
 
 @inline
 def _commit_moments(s: Any, o: int, n: int, variance: Any, m: Any) -> bool:
-    x = vector(s, 5)
-    xi = vector(s, 5)
-    c = vector(s, 15)  # covariance of xi, then its Cholesky factor
-    root = vector(s, 15)
+    x = vector(s, N_MAX)
+    xi = vector(s, N_MAX)
+    c = vector(s, PACKED_MAX)  # covariance of xi, then its Cholesky factor
+    root = vector(s, PACKED_MAX)
     b_at = o + held_at(n) + H_B
     xi[SOC] = m[0]
     c[0] = m[2]

@@ -66,18 +66,18 @@ class Cell:
     dynamics: Callable[[float, float], tuple[float, ...]]  # of the same: r0, r1, tau1, r2, tau2, knee
     ukf: Ukf | None = None
 
-    def start(self, temperature: float) -> None:
-        """At `tuning.initial_soc`, relaxed but for the current that may have flowed before."""
+    def start(self, i: float, temperature: float) -> None:
+        """At `tuning.initial_soc`; current i, and C/5 more or less of it, may have flowed for long or not at all."""
         soc, tuning, noise = self.tuning.initial_soc, self.tuning, self.params.noise
         assert soc is not None
         _, r1, _, r2, _, _ = self.dynamics(soc, temperature)
-        before = self.params.cell.capacity_Ah / 5
+        before = math.hypot(self.params.cell.capacity_Ah / 5, i / 2)
         variances = [
             tuning.initial_soc_sigma**2,
             noise.v_rc1_sigma_V**2 + (r1 * before) ** 2,
             noise.v_rc2_sigma_V**2 + (r2 * before) ** 2,
         ]
-        x = np.array([soc, 0.0, 0.0])
+        x = np.array([soc, r1 * i / 2, r2 * i / 2])
         self.ukf = Ukf(x, np.diag(variances), tuning.alpha, tuning.beta, tuning.kappa)
 
     def predict(self, dt: float, i: float, temperature: float) -> None:
