@@ -15,8 +15,6 @@ from bms_ukf import CellParams, Estimate, Estimator, Sample, Tuning, metrics, re
 from bms_ukf.loads import Load
 from bms_ukf.plant import Plant
 
-STEP_NS = 10**9
-
 
 class Drive(NamedTuple):
     segments: list[dict[str, Any]]
@@ -38,30 +36,32 @@ STARTS = (-0.2, 0.2, None)  # what is told of SoC at the start, beside the truth
 OFFSETS_A = (0.05, -0.05)
 
 
-def driven(drive: Drive) -> np.ndarray:
-    """True current, voltage, temperature and SoC, a row a second."""
+def driven(drive: Drive, step_s: float = 1.0) -> np.ndarray:
+    """True current, voltage, temperature and SoC, a row a step."""
     rows = []
     with Plant(
         resources.find("lgm50_spme", "plants", ".fmu"),
         parameters={"soc_initial": drive.soc},
         ambient_degC=drive.ambient_degC,
     ) as plant:
-        for current_A in Load(segments=drive.segments).profile(1.0).current_A.tolist():
-            state = plant.step(current_A, STEP_NS)
+        for current_A in Load(segments=drive.segments).profile(step_s).current_A.tolist():
+            state = plant.step(current_A, round(step_s * 1e9))
             rows.append((current_A, state.voltage_V, state.temperature_degC, state.soc))
     return np.array(rows)
 
 
-def estimated(cell: CellParams, true: np.ndarray, tuning: Tuning, offset_A: float) -> np.ndarray:
-    """SoC and its sigma, a row a second, from sensors that are not perfect."""
-    noise = np.random.default_rng(1).standard_normal((len(true), 3)) * [0.02, 0.002, 0.2]
+def estimated(
+    cell: CellParams, true: np.ndarray, tuning: Tuning, offset_A: float, step_s: float = 1.0, seed: int = 1
+) -> np.ndarray:
+    """SoC and its sigma, a row a step, from sensors that are not perfect."""
+    noise = np.random.default_rng(seed).standard_normal((len(true), 3)) * [0.02, 0.002, 0.2]
     current = true[:, 0] + offset_A + noise[:, 0]
     voltage = np.round(true[:, 1] + noise[:, 1], 3)
     temperature = np.round(2 * (true[:, 2] + noise[:, 2])) / 2
     estimator, estimate, sample = Estimator(cell, tuning=tuning), Estimate(), Sample(0)
     result = np.empty((len(true), 2))
     for k, measured in enumerate(zip(current.tolist(), voltage.tolist(), temperature.tolist(), strict=True)):
-        sample.t_ns = k * STEP_NS
+        sample.t_ns = k * round(step_s * 1e9)
         sample.current_A, sample.voltage_V, sample.temperature_degC = measured
         estimator.step(sample, out=estimate)
         result[k] = estimate.soc, estimate.soc_sigma
@@ -106,3 +106,15 @@ def test_the_band_holds_the_truth_over_all_drives(scores):
 def test_a_start_twenty_percent_wrong_is_forgotten_within_twenty_minutes_at_25_degC_and_above(scores):
     for name in ("WLTC, 25 degC", "US06, 25 degC", "UDDS, 40 degC"):
         assert all(run["settled_s"] is not None and run["settled_s"] < 1200 for run in scores[name])
+
+
+@pytest.mark.parametrize("soc", [0.95, 0.9, 0.6])
+def test_ten_voltages_a_second_do_not_make_the_band_dishonest(cell, soc):
+    true = driven(Drive([{"rest_s": 60}, {"cycle": "wltc_3b"}], soc, 25.0), 0.1)
+    time_s = 0.1 * np.arange(len(true))
+    for seed in range(3):
+        told = Tuning(initial_soc=soc - 0.2, initial_soc_sigma=0.2)
+        result = estimated(cell, true, told, 0.05, 0.1, seed)
+        score = metrics.score(time_s, result[:, 0], result[:, 1], true[:, 3])
+        assert score["after_600s"]["rmse_pct"] < 1.0
+        assert score["coverage95"] > 0.85

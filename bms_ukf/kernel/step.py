@@ -79,6 +79,7 @@ FAULT_MASK = (1 << STATUS_SHIFT) - 1
 
 # Below this a noise factor is not distinguishable from zero, and zero ends in 0/0 (`srukf.triangularise`). V, or SoC.
 TINY_ROOT = 1e-12
+VOLTAGE_ERROR_S = 1.0  # how long a fast voltage error lasts: the interval that [noise] of a cell file is derived at
 SOC_SLACK = 0.02  # how far SoC may wander beyond 0..1 before it is called out of the table
 
 
@@ -144,7 +145,7 @@ def start(p: Any, s: Any, o: int, n: int, v: Any) -> None:
             s[o + V_RC1 + j] = dynamics(p, p[P_INITIAL_SOC], T, 1 + 2 * j) * half
         before = math.sqrt(p[P_INITIAL_CURRENT] * p[P_INITIAL_CURRENT] + half * half)
         believe(p, s, o, n, p[P_INITIAL_SOC], p[P_INITIAL_SIGMA], before)
-        s[h + H_VOLTAGE_AGE] = real(s, 0)
+        s[h + H_VOLTAGE_AGE] = real(s, VOLTAGE_ERROR_S)  # no voltage was fused lately
 
 
 @inline
@@ -231,7 +232,9 @@ def fuse(p: Any, s: Any, o: int, n: int, v: Any) -> int:
     drop_error = p[P_R0_REL] * drop
     if s[h + H_CURRENT_AGE] > p[P_CURRENT_TIMEOUT]:
         drop, drop_error = real(s, 0), ohmic_drop(p, soc, T, p[P_CURRENT_RANGE])
-    r = p[P_VAR_VOLTAGE] + drop_error * drop_error
+    # Neither sensor nor model errors are new every millisecond: readings that crowd are each worth less.
+    crowd = real(s, VOLTAGE_ERROR_S) / clamp(s[h + H_VOLTAGE_AGE], real(s, TINY_ROOT), real(s, VOLTAGE_ERROR_S))
+    r = crowd * (p[P_VAR_VOLTAGE] + drop_error * drop_error)
     if not innovate(p, s, o, n, v, drop, ocv(p, soc, T), ocv(p, soc + spread, T), ocv(p, soc - spread, T), r):
         return NUMERIC
     excess = s[h + H_INNOVATION] * s[h + H_INNOVATION] / p[P_GATE2] - s[h + H_INNOVATION_VAR]
