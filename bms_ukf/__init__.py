@@ -1,10 +1,14 @@
 """Battery state-of-charge estimation for a CAN bus: a square-root unscented Kalman filter with an honest error bar."""
 
-from bms_ukf.cell import CellParams
-from bms_ukf.errors import BmsError, ConfigError, PlantError
-from bms_ukf.estimator import Estimator
-from bms_ukf.records import Estimate, Fault, Sample, Status
-from bms_ukf.tuning import Tuning
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bms_ukf.cell import CellParams
+    from bms_ukf.errors import BmsError, ConfigError, PlantError
+    from bms_ukf.estimator import Estimator
+    from bms_ukf.records import Estimate, Fault, Sample, Status
+    from bms_ukf.tuning import Tuning
 
 __version__ = "0.1.0"
 __all__ = [
@@ -19,3 +23,23 @@ __all__ = [
     "Status",
     "Tuning",
 ]
+
+# Imported when asked for: numba takes longer to load than `bms-ukf --help` should take.
+_HOMES = {
+    "BmsError": "errors",
+    "CellParams": "cell",
+    "ConfigError": "errors",
+    "Estimate": "records",
+    "Estimator": "estimator",
+    "Fault": "records",
+    "PlantError": "errors",
+    "Sample": "records",
+    "Status": "records",
+    "Tuning": "tuning",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

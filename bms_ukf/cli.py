@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import click
 
 from bms_ukf import __version__
-from bms_ukf.errors import BmsError, ConfigError
+from bms_ukf.errors import BmsError, ConfigError, PlantError
 
 PATH = click.Path(path_type=Path)
 
@@ -40,7 +40,7 @@ def demo(report: Path) -> None:
     """Drive a physics-based cell over a virtual CAN bus and watch its SoC come back."""
     from bms_ukf import simulate
 
-    summary = simulate.simulate("demo", report=report)
+    summary = simulate.simulate("demo", report=report, judged=True)
     sys.exit(0 if simulate.passed(summary) else 1)
 
 
@@ -79,6 +79,8 @@ def cosim(
     summary = simulate.simulate(scenario, out=out, report=report)
     if json_path is not None:
         _write_json(json_path, summary)
+    if summary["plant_failure"]:
+        raise PlantError(summary["plant_failure"])
 
 
 @cli.command()

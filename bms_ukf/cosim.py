@@ -15,6 +15,7 @@ from typing import Any
 from bms_ukf import metrics, resources
 from bms_ukf.cell import CellParams
 from bms_ukf.config import Bus
+from bms_ukf.errors import PlantError
 from bms_ukf.estimator import Estimator
 from bms_ukf.links import BusLink, DirectLink, Link
 from bms_ukf.plant import Plant, PlantState
@@ -44,14 +45,15 @@ Watch = Callable[[Progress], None]
 def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Trace, dict[str, Any]]:
     """Run a scenario (found at `path`) to the end of its load: the trace, a row per step, and the summary.
 
-    `watch` is called after every step. Raises ConfigError for what the scenario names and is not usable, and PlantError
-    if the plant fails on the way.
+    `watch` is called after every step. If the plant fails on the way the run ends there, and the summary says why under
+    `plant_failure`. Raises ConfigError for what the scenario names and is not usable; PlantError if there is no row.
     """
     profile = scenario.load.profile(scenario.step_s, relative_to=path.parent)
     step_ns = round(scenario.step_s * 1e9)
     sensors = SensorSet(scenario.sensors)
     estimator = _estimator(scenario, path)
     trace = Trace(len(profile.current_A))
+    failure: PlantError | None = None
     started = time.perf_counter()
     with _plant(scenario, path) as plant:
         link = _link(scenario, path, estimator)
@@ -65,9 +67,14 @@ def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Tra
                 if watch is not None:
                     wall_s, frames = time.perf_counter() - started, (link.frames_in, link.frames_out)
                     watch(Progress(k, len(profile.current_A), wall_s, sample, estimate, true, *frames))
+        except PlantError as error:
+            if not len(trace):
+                raise
+            failure = error
         finally:
             link.close()
-    return trace, _summary(scenario, trace, link, time.perf_counter() - started)
+    summary = _summary(scenario, trace, link, time.perf_counter() - started)
+    return trace, summary | {"plant_failure": None if failure is None else str(failure)}
 
 
 def _estimator(scenario: Scenario, path: Path) -> Estimator:

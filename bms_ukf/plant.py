@@ -91,6 +91,7 @@ class Plant:
                     )
                 self._fmu.set_start(variable, value)
             self._inputs = [0.0, *(float(variable.start or 0.0) for variable in inputs[1:])]
+            self._ambient_degC = self._inputs[1] if self._has_ambient else NAN
             if ambient_degC is not None:
                 self.set_ambient(ambient_degC)
             self._fmu.initialise(self._inputs)
@@ -110,7 +111,8 @@ class Plant:
         return self.state
 
     def set_ambient(self, ambient_degC: float) -> None:
-        """Sets the ambient temperature from the next step on; without effect on an FMU that has no such input."""
+        """Sets the ambient temperature from the next step on: the FMU's input, if it has one."""
+        self._ambient_degC = ambient_degC
         if self._has_ambient:
             self._inputs[1] = ambient_degC
 
@@ -129,7 +131,10 @@ class Plant:
         if values is None or not all(map(math.isfinite, values)):
             reason = self._fmu.reason() if values is None else f"{', '.join(self._outputs)} = {values}"
             raise PlantError(f"{self.path}: outputs at t = {t_ns * 1e-9:g} s: {reason}")
-        return PlantState(t_ns, **dict(zip(self._outputs, values, strict=True)))
+        state = PlantState(t_ns, **dict(zip(self._outputs, values, strict=True)))
+        if "temperature_degC" not in self._outputs:
+            state.temperature_degC = self._ambient_degC
+        return state
 
 
 class _Fmi2:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bms_ukf import resources, toml
 from bms_ukf.loads import Load
@@ -48,6 +48,13 @@ class Scenario(toml.Document):
     sensors: Sensors = Field(default_factory=Sensors)
     bus: BusTable = Field(default_factory=BusTable)
     estimator: EstimatorTable
+
+    @model_validator(mode="after")
+    def _current_is_held_over_a_step(self) -> Self:
+        timeout_s = self.estimator.tuning.current_timeout_s
+        if self.step_s > timeout_s:
+            raise ValueError(f"step_s of at most estimator.tuning.current_timeout_s, which is {timeout_s:g} s")
+        return self
 
 
 def load(given: str | Path) -> tuple[Scenario, Path]:

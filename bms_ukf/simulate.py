@@ -8,8 +8,13 @@ from typing import Any
 from bms_ukf import cosim, metrics, scenario
 
 
-def simulate(given: str, *, out: Path | None = None, report: Path | None = None) -> dict[str, Any]:
-    """Run a scenario, in a file or shipped; write trace and report if asked for. Returns the summary."""
+def simulate(
+    given: str, *, out: Path | None = None, report: Path | None = None, judged: bool = False
+) -> dict[str, Any]:
+    """Run a scenario, in a file or shipped; write trace and report if asked for. Returns the summary.
+
+    `judged`: hold the result against the project's goals. They are the demo's, and need not be those of another plant.
+    """
     from bms_ukf.view import LiveView, verdict
 
     found, path = scenario.load(given)
@@ -22,7 +27,7 @@ def simulate(given: str, *, out: Path | None = None, report: Path | None = None)
         from bms_ukf.report.html import write_report
 
         page = write_report(report, trace, summary, title=found.name)
-    verdict(summary, page)
+    verdict(summary, page, judged=judged)
     return summary
 
 

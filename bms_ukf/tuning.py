@@ -37,7 +37,7 @@ class Tuning(Section):
 
     gate_sigmas: Positive = 5.0
     reject_s: Positive = 30.0  # after so long the belief is doubted, not the voltage
-    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.015  # above it sigma points are too few for the OCV curve
+    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # above it sigma points are too few for the OCV curve
     soc_sigma_invalid: Annotated[float, Field(gt=0, le=0.5)] = 0.35
 
     # Sigma points. alpha = 1 makes every weight non-negative and is the only sound choice in float32.

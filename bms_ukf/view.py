@@ -118,8 +118,10 @@ class LiveView:
         )
 
 
-def verdict(summary: dict[str, Any], page: Path | None = None, console: Console | None = None) -> None:
-    """Print what a run reached against the project's goals, and where its report is."""
+def verdict(
+    summary: dict[str, Any], page: Path | None = None, console: Console | None = None, *, judged: bool = True
+) -> None:
+    """Print what a run reached, if `judged` against the project's goals, and where its report is."""
     console = console or Console()
     if not summary["n_scored"]:
         why = "No estimate where there is a reference SoC" if summary["n_unavailable"] else "No reference SoC"
@@ -133,7 +135,8 @@ def verdict(summary: dict[str, Any], page: Path | None = None, console: Console 
         checks = metrics.judge(summary)
         for check in checks:
             word = Text("pass", style="bold green") if check.passed else Text("FAIL", style="bold red")
-            table.add_row(check.name, _number(check.value, "%", 2), check.goal, word)
+            against = (check.goal, word) if judged else ()
+            table.add_row(check.name, _number(check.value, "%", 2), *against)
         table.add_row("Largest SoC error", _number(summary["max_pct"], "%", 2))
         settled_s = summary["settled_s"]
         table.add_row("Error stays within 2 %", "never" if settled_s is None else f"after {settled_s:.0f} s")
@@ -146,6 +149,8 @@ def verdict(summary: dict[str, Any], page: Path | None = None, console: Console 
             )
         passed = all(check.passed for check in checks)
         title, style = ("PASSED", "green") if passed else ("FAILED", "red")
+        if not judged:
+            title, style = "RESULT", "cyan"
         console.print(Panel(table, title=title, border_style=style, width=WIDTH, padding=(1, 2)))
     if page is not None:
         console.print(f"Report: {page}", soft_wrap=True, highlight=False, markup=False)

@@ -178,3 +178,15 @@ def test_what_a_scenario_names_and_is_not_there_is_told_in_one_line(tables, told
         run(**tables)
     assert told in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_plant_that_runs_empty_leaves_the_trace_so_far_and_says_why():
+    trace, summary = run(load={"segments": [{"current_A": 25.0, "duration_s": 3600.0}]})
+    assert 0 < len(trace) < 3600
+    assert "outside the model's range" in summary["plant_failure"]
+    assert summary["n"] == len(trace)
+
+
+def test_a_step_longer_than_a_current_is_held_is_refused():
+    with pytest.raises(ConfigError, match=r"step_s of at most estimator\.tuning\.current_timeout_s"):
+        scenario(step_s=10.0)

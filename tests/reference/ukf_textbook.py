@@ -65,6 +65,7 @@ class Cell:
     ocv: Callable[[float, float], float]  # of SoC and temperature, V
     dynamics: Callable[[float, float], tuple[float, ...]]  # of the same: r0, r1, tau1, r2, tau2, knee
     ukf: Ukf | None = None
+    age: float = 1.0  # s since the last voltage; before the first, none was near
 
     def start(self, i: float, temperature: float) -> None:
         """At `tuning.initial_soc`; current i, and C/5 more or less of it, may have flowed for long or not at all."""
@@ -82,6 +83,7 @@ class Cell:
 
     def predict(self, dt: float, i: float, temperature: float) -> None:
         assert self.ukf is not None
+        self.age += dt
         noise, tuning = self.params.noise, self.tuning
         charge = 3600 * self.params.cell.capacity_Ah
         efficiency = self.params.cell.coulombic_efficiency if i < 0 else 1.0
@@ -108,6 +110,8 @@ class Cell:
         drop = r0 * knee * math.asinh(i / knee)
         variance = noise.voltage_sigma_V**2 + self.tuning.voltage_sensor_sigma_V**2
         variance += (noise.r0_rel_sigma * drop) ** 2
+        variance /= min(self.age, 1.0)  # voltages that come faster than one a second count for less
+        self.age = 0.0
 
         def h(x: Array) -> float:
             soc, v1, v2 = x
