@@ -17,7 +17,6 @@ from pydantic import Field, model_validator
 from bms_ukf import pchip, resources, toml
 
 Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
 Temperature = Annotated[float, Field(ge=-60, le=120)]
 Knots = Annotated[list[float], Field(min_length=2, max_length=1001)]
 Rows = Annotated[list[list[float]], Field(min_length=1)]

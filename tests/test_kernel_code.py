@@ -200,3 +200,13 @@ def test_95_percent_of_the_truth_lies_in_the_95_percent_band_on_a_matched_model(
     inside = np.abs(soc - truth) < 1.96 * sigma
     for part in (inside[:100], inside[100:300], inside[300:]):
         assert 0.90 < part.mean() < 0.99
+
+
+@pytest.mark.parametrize(("prefix", "size"), [("P_", layout.PARAMS_HEADER), ("H_", layout.H_B + 1), ("T_", 7)])
+def test_no_two_slots_of_a_buffer_share_a_place(prefix, size):
+    """P_OCV and P_DYN are the first of the seven slots that a table descriptor takes."""
+    places = [value for name, value in vars(layout).items() if name.startswith(prefix)]
+    assert len(set(places)) == len(places)
+    descriptors = {first + offset for first in (layout.P_OCV, layout.P_DYN) for offset in range(7)}
+    taken = set(places) | (descriptors if prefix == "P_" else set())
+    assert taken == set(range(size))
