@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from bms_ukf.cell import CellParams
     from bms_ukf.errors import BmsError, ConfigError, PlantError
     from bms_ukf.estimator import Estimator
+    from bms_ukf.filter import Filter
     from bms_ukf.records import Estimate, Fault, Sample, Status
     from bms_ukf.tuning import Tuning
 
@@ -18,6 +19,7 @@ __all__ = [
     "Estimate",
     "Estimator",
     "Fault",
+    "Filter",
     "PlantError",
     "Sample",
     "Status",
@@ -32,6 +34,7 @@ _HOMES = {
     "Estimate": "records",
     "Estimator": "estimator",
     "Fault": "records",
+    "Filter": "filter",
     "PlantError": "errors",
     "Sample": "records",
     "Status": "records",

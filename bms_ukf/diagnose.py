@@ -19,7 +19,7 @@ from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
 from bms_ukf.kernel import entry
-from bms_ukf.kernel.params import SOC_SIGMA_MAX, params
+from bms_ukf.kernel.params import SOC_SIGMA_MAX, params, state_names, voltage_sigmas
 from bms_ukf.records import Estimate, Sample
 from bms_ukf.tuning import Tuning
 
@@ -40,7 +40,7 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
                          the share of the belief beyond 0..1; `update`, how the estimator meets such a belief; and
                          `true`, `tangent_line`, `ukf`: `mean_V`, `bias_mV` (mean minus true mean) and `std_mV` of the
                          terminal voltage before the error of its measurement
-    sigma_points         `alpha`, `beta`, `kappa` of the default tuning; per point `soc`, `v_rc1_V`, `v_rc2_V`,
+    sigma_points         `alpha`, `beta`, `kappa` of the default tuning; per point its states, `soc`, `v_rc1_V`..,
                          `w_mean`, `w_cov`
     positive_definite    `guaranteed`; `r_mV2` and `least_mV2` = r + e^2 (beta + alpha^2 (n + kappa - 1)), what is left
                          of the innovation variance when all that the states explain is taken from it; `e_mV`, the
@@ -61,12 +61,12 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
     _require("--temperature", temperature_degC, low <= temperature_degC <= high, f"{low:g}..{high:g} degC, the cell's")
 
     tuning, noise = Tuning(), cell.noise
-    rc_sigmas_V = [noise.v_rc1_sigma_V, noise.v_rc2_sigma_V]
+    rc_sigmas_V = voltage_sigmas(cell)
     error_V = math.hypot(noise.voltage_sigma_V, tuning.voltage_sensor_sigma_V, *rc_sigmas_V)
     curve = Curve(cell, temperature_degC)
-    weights = unscented.scaled(entry.N, tuning.alpha, tuning.beta, tuning.kappa)
+    weights = unscented.scaled(1 + len(rc_sigmas_V), tuning.alpha, tuning.beta, tuning.kappa)
     bias = {name: _bias(curve, soc, times * sigma, rc_sigmas_V, weights) for name, times in SIZES.items()}
-    points = unscented.sigma_points([soc, 0, 0], np.diag([sigma, *rc_sigmas_V]) ** 2, weights.spread)
+    points = unscented.sigma_points([soc] + [0] * len(rc_sigmas_V), np.diag([sigma, *rc_sigmas_V]) ** 2, weights.spread)
     return {
         "cell": cell.cell.name,
         "soc": soc,
@@ -83,11 +83,12 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
         ],
         "sigma_points": {
             **{name: getattr(tuning, name) for name in ("alpha", "beta", "kappa")},
-            **{name: points[:, j].tolist() for j, name in enumerate(("soc", "v_rc1_V", "v_rc2_V"))},
+            **{name: points[:, j].tolist() for j, name in enumerate(state_names(cell))},
             "w_mean": weights.w_mean.tolist(),
             "w_cov": weights.w_cov.tolist(),
         },
         "positive_definite": _positive_definite(
+            1 + len(rc_sigmas_V),
             1e3 * (bias["medium"]["ukf"]["mean_V"] - curve.at(soc)),
             1e6 * (noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2),
             tuning,
@@ -106,7 +107,7 @@ class Curve:
         self._temperature_degC = temperature_degC
 
     def at(self, soc: float) -> float:
-        return entry.ocv(self._params.ctypes.data, soc, self._temperature_degC)
+        return entry.ocv()(self._params.ctypes.data, soc, self._temperature_degC)
 
     def voltage(self, x: Array) -> Array:
         """(m,) terminal voltages at rest, V, of points (m, 1) or (m, 3): SoC and, if given, the RC voltages."""
@@ -148,8 +149,8 @@ def _share_above(sigmas: float) -> float:
     return math.erfc(sigmas / math.sqrt(2)) / 2
 
 
-def _positive_definite(e_mV: float, r_mV2: float, tuning: Tuning) -> dict[str, Any]:
-    factor = tuning.beta + tuning.alpha**2 * (entry.N + tuning.kappa - 1)
+def _positive_definite(n: int, e_mV: float, r_mV2: float, tuning: Tuning) -> dict[str, Any]:
+    factor = tuning.beta + tuning.alpha**2 * (n + tuning.kappa - 1)
     return {"guaranteed": factor >= 0, "r_mV2": r_mV2, "e_mV": e_mV, "least_mV2": r_mV2 + e_mV**2 * factor}
 
 

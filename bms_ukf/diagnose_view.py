@@ -66,12 +66,13 @@ def _bias(found: dict[str, Any]) -> Group:
 def _points(found: dict[str, Any]) -> Group:
     points, sound = found["sigma_points"], found["positive_definite"]
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for name in ("SoC", "v_rc1", "v_rc2", "mean weight", "covariance weight"):
+    voltages = [name for name in points if name.startswith("v_")]
+    for name in ("SoC", *(name.removesuffix("_V") for name in voltages), "mean weight", "covariance weight"):
         table.add_column(name, justify="right")
-    columns = (points[name] for name in ("soc", "v_rc1_V", "v_rc2_V", "w_mean", "w_cov"))
-    for soc, v_rc1_V, v_rc2_V, w_mean, w_cov in zip(*columns, strict=True):
-        volts = (f"{1e3 * v:+.2f} mV" if v else "0" for v in (v_rc1_V, v_rc2_V))
-        table.add_row(_pct(soc), *volts, f"{w_mean:.4g}", f"{w_cov:.4g}")
+    columns = (points[name] for name in ("soc", *voltages, "w_mean", "w_cov"))
+    for soc, *volts, w_mean, w_cov in zip(*columns, strict=True):
+        shown = (f"{1e3 * v:+.2f} mV" if v else "0" for v in volts)
+        table.add_row(_pct(soc), *shown, f"{w_mean:.4g}", f"{w_cov:.4g}")
     word = "cannot lose" if sound["guaranteed"] else "may lose"
     notes = (
         f"alpha {points['alpha']:g}, beta {points['beta']:g}, kappa {points['kappa']:g}. The covariance {word} its "

@@ -12,11 +12,11 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bms_ukf.cell import CellParams
 from bms_ukf.kernel import entry, layout
-from bms_ukf.kernel.params import aligned, params
+from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
 from bms_ukf.records import Estimate, Fault, Sample, Status
 from bms_ukf.tuning import Tuning
@@ -26,18 +26,21 @@ _HIDDEN = tuple(status in {Status.INITIALISING, Status.INVALID} for status in St
 _FAULTS = tuple(Fault(bits) for bits in range(2 * max(Fault)))  # making one costs more than the filter step
 _NUMERIC = int(Fault.NUMERIC)
 _BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; then the state
-_MAGIC = b"BMSUKF01"
+_MAGIC = b"BMSUKF02"
 
-_PER_CELL = ("soc", "soc_sigma", "voltage_pred_V", "innovation_V", "innovation_var_V2", "nis", "age_s")
-
-_HELD = layout.held_offset(entry.N)
-_SIGMA = layout.root_offset(entry.N)
-_VOLTAGE_IN = _HELD + layout.H_INPUT_VOLTAGE
-_TEMPERATURE_IN = _HELD + layout.H_INPUT_TEMPERATURE
-_AGE = _HELD + layout.H_VOLTAGE_AGE
-_VOLTAGE_PRED = _HELD + layout.H_VOLTAGE_PRED
-_INNOVATION = _HELD + layout.H_INNOVATION
-_INNOVATION_VAR = _HELD + layout.H_INNOVATION_VAR
+# The results of a cell that an Estimate shows: its fields, and their rows of the kernel's `io`.
+_SHOWN = {
+    "soc": layout.OUT_SOC,
+    "soc_sigma": layout.OUT_SOC_SIGMA,
+    "voltage_pred_V": layout.OUT_VOLTAGE_PRED,
+    "innovation_V": layout.OUT_INNOVATION,
+    "innovation_var_V2": layout.OUT_INNOVATION_VAR,
+    "nis": layout.OUT_NIS,
+    "age_s": layout.OUT_AGE,
+    "current_bias_A": layout.OUT_BIAS,
+}
+_SOC_ROWS = {layout.OUT_SOC, layout.OUT_SOC_SIGMA}
+_COMPARISON = ("voltage_pred_V", "innovation_V", "innovation_var_V2", "nis")
 
 
 class Estimator:
@@ -47,37 +50,48 @@ class Estimator:
     backwards. Where the parts of one instant come apart, the current comes first: it is what has flowed up to then, and
     the part that comes first moves time on. The first estimate appears once a current, a voltage and a temperature have
     been seen.
+
+    `precision` is that of the filter's numbers: "f64", or "f32" to see what a microcontroller would.
     """
 
     __slots__ = (
-        "_buffer",
+        "_addresses",
         "_code",
+        "_form",
+        "_io",
         "_params",
-        "_params_address",
+        "_row",
         "_state",
-        "_state_address",
+        "_tick",
         "accepted",
         "cell",
         "cells",
+        "precision",
         "t_ns",
         "tuning",
     )
 
-    def __init__(self, cell: CellParams, cells: int = 1, tuning: Tuning | None = None) -> None:
+    def __init__(
+        self, cell: CellParams, cells: int = 1, tuning: Tuning | None = None, precision: Precision = "f64"
+    ) -> None:
         if cells < 1:
             raise ValueError(f"cells is {cells}; expected at least 1")
-        self.cell, self.cells, self.tuning = cell, cells, tuning or Tuning()
-        self._params = params(cell, self.tuning)
-        buffer = aligned(cells * entry.RECORD_SIZE)
-        self._state: NDArray[np.float64] = buffer.reshape(cells, entry.RECORD_SIZE)
-        self._buffer: Any = memoryview(buffer.data)  # a number in or out of it costs half of what an ndarray asks
-        self._params_address, self._state_address = self._params.ctypes.data, self._state.ctypes.data
+        self.cell, self.cells, self.tuning, self.precision = cell, cells, tuning or Tuning(), precision
+        bits = BITS[precision]
+        form = self._form = form_of(cell, self.tuning, 1 if cells == 1 else layout.LANES, bits)
+        self._params = params(cell, self.tuning, bits)
+        blocks = -(-cells // form.lanes)
+        self._state = aligned(blocks * form.lanes * form.size, bits).reshape(blocks, form.size, form.lanes)
+        self._io = aligned(layout.IO_ROWS * cells, bits).reshape(layout.IO_ROWS, cells)
+        self._row: Any = memoryview(self._io[:, 0].data)  # a number in or out of it costs half of what an ndarray asks
+        self._addresses = self._params.ctypes.data, self._state.ctypes.data, self._io.ctypes.data, cells
+        self._tick = entry.tick(form, bits)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything measured so far."""
         self._state[:] = np.nan
-        self._state[:, _HELD + layout.H_GAP_S] = 0.0
+        self._io[:] = np.nan
         self.t_ns: int | None = None
         self._code = 0  # what the kernel said last
         self.accepted = 0  # samples that were not refused: what the alive counter on the bus follows
@@ -97,8 +111,12 @@ class Estimator:
             if estimate.status is Status.OK:
                 estimate.status = Status.DEGRADED
             return estimate
-        self._write(sample)
-        code = entry.tick(self._params_address, self._state_address, self.cells, dt, sample.current_A)
+        if self.cells == 1:
+            self._row[layout.IN_VOLTAGE], self._row[layout.IN_TEMPERATURE] = sample.voltage_V, sample.temperature_degC
+        else:
+            self._io[layout.IN_VOLTAGE] = sample.voltage_V
+            self._io[layout.IN_TEMPERATURE] = sample.temperature_degC
+        code = self._tick(*self._addresses, dt, sample.current_A)
         if not code & _NUMERIC:
             self.accepted += 1
         self.t_ns, self._code = sample.t_ns, code
@@ -111,6 +129,42 @@ class Estimator:
         estimate = self.step(Sample(t_ns), out)
         self.accepted = accepted
         return estimate
+
+    def replay(
+        self, t_ns: ArrayLike, current_A: ArrayLike, voltage_V: ArrayLike, temperature_degC: ArrayLike
+    ) -> dict[str, NDArray[Any]]:
+        """Step through a whole recording of one cell in one call: the same results as by `step`, bit for bit, sooner.
+
+        Arrays of one length in, NaN for what was not measured. Returns arrays by the names of `Estimate`'s fields, with
+        `status` and `faults` as integers. ValueError for several cells, lengths that differ, or time running backwards.
+        """
+        if self.cells > 1:
+            raise ValueError("replay is for one cell")
+        time = np.asarray(t_ns, dtype=np.int64)
+        columns = [np.asarray(column, dtype=float) for column in (current_A, voltage_V, temperature_degC)]
+        if time.ndim != 1 or any(column.shape != time.shape for column in columns):
+            raise ValueError("t_ns, current_A, voltage_V and temperature_degC as arrays of one length")
+        before = time[:1] if self.t_ns is None else [self.t_ns]
+        dt = np.diff(time, prepend=before) * 1e-9
+        if (dt < 0).any():
+            raise ValueError(f"t_ns runs backwards at row {int(np.argmax(dt < 0))}")
+        dtype = self._io.dtype
+        io = np.empty((len(time), layout.IO_ROWS), dtype)
+        io[:, layout.IN_VOLTAGE], io[:, layout.IN_TEMPERATURE] = columns[1], columns[2]
+        spans, currents = dt.astype(dtype), columns[0].astype(dtype)
+        params, state, *_ = self._addresses
+        run = entry.replay(self._form, BITS[self.precision])
+        run(params, state, io.ctypes.data, len(time), spans.ctypes.data, currents.ctypes.data)
+        code = io[:, layout.OUT_CODE].astype(np.int64)
+        status, faults = code >> STATUS_SHIFT, code & FAULT_MASK
+        results = {name: io[:, row].astype(float) for name, row in _SHOWN.items()}
+        for name in ("soc", "soc_sigma"):
+            results[name][np.array(_HIDDEN)[status]] = np.nan
+        if len(time):
+            self._io[:, 0] = io[-1]
+            self.t_ns, self._code = int(time[-1]), int(code[-1])
+            self.accepted += int(np.count_nonzero(faults & _NUMERIC == 0))
+        return {"t_ns": time, **results, "status": status, "faults": faults}
 
     def snapshot(self) -> bytes:
         """All the estimator knows, for `restore`; valid for the same cell file, tuning and number of cells."""
@@ -128,43 +182,37 @@ class Estimator:
         if body_hash != hashlib.sha256(body).digest():
             raise ValueError("a damaged snapshot")
         _, started, t_ns, code, accepted = _BODY.unpack_from(body)
-        self._state[:] = np.frombuffer(body, offset=_BODY.size).reshape(self._state.shape)
+        self._state[:] = np.frombuffer(body, self._state.dtype, offset=_BODY.size).reshape(self._state.shape)
         self.t_ns, self._code, self.accepted = (t_ns if started else None), code, accepted
 
     def _params_hash(self) -> bytes:
-        return hashlib.sha256(self._params.tobytes()).digest()
-
-    def _write(self, sample: Sample) -> None:
-        if self.cells == 1:
-            self._buffer[_VOLTAGE_IN] = sample.voltage_V
-            self._buffer[_TEMPERATURE_IN] = sample.temperature_degC
-        else:
-            self._state[:, _VOLTAGE_IN] = sample.voltage_V
-            self._state[:, _TEMPERATURE_IN] = sample.temperature_degC
+        return hashlib.sha256(bytes(self._form) + self._params.tobytes()).digest()
 
     def _read(self, estimate: Estimate, code: int) -> None:
         status = code >> STATUS_SHIFT
         estimate.t_ns = self.t_ns or 0
         estimate.status, estimate.faults = _STATUS[status], _FAULTS[code & FAULT_MASK]
+        hidden = _HIDDEN[status]
         if self.cells > 1:
-            _read_pack(self._state, estimate, _HIDDEN[status])
+            for name, row in _SHOWN.items():
+                getattr(estimate, name)[:] = math.nan if hidden and row in _SOC_ROWS else self._io[row]
             return
-        b = self._buffer
-        estimate.age_s = b[_AGE]
-        if _HIDDEN[status]:
+        row = self._row
+        if hidden:
             estimate.soc = estimate.soc_sigma = math.nan
         else:
-            soc = b[layout.SOC]
-            estimate.soc = 0.0 if soc < 0.0 else 1.0 if soc > 1.0 else soc
-            estimate.soc_sigma = b[_SIGMA]
-        innovation = estimate.innovation_V = b[_INNOVATION]
-        variance = estimate.innovation_var_V2 = b[_INNOVATION_VAR]
-        estimate.voltage_pred_V = b[_VOLTAGE_PRED]
-        estimate.nis = innovation * innovation / variance
+            estimate.soc = row[layout.OUT_SOC]
+            estimate.soc_sigma = row[layout.OUT_SOC_SIGMA]
+        estimate.voltage_pred_V = row[layout.OUT_VOLTAGE_PRED]
+        estimate.innovation_V = row[layout.OUT_INNOVATION]
+        estimate.innovation_var_V2 = row[layout.OUT_INNOVATION_VAR]
+        estimate.nis = row[layout.OUT_NIS]
+        estimate.age_s = row[layout.OUT_AGE]
+        estimate.current_bias_A = row[layout.OUT_BIAS]
 
     def _clear_comparison(self, estimate: Estimate) -> None:
         """Nothing was compared: the values of the last comparison would be counted twice."""
-        for name in ("voltage_pred_V", "innovation_V", "innovation_var_V2", "nis"):
+        for name in _COMPARISON:
             if self.cells == 1:
                 setattr(estimate, name, math.nan)
             else:
@@ -173,20 +221,4 @@ class Estimator:
     def _blank(self) -> Estimate:
         if self.cells == 1:
             return Estimate()
-        arrays = {name: np.full(self.cells, math.nan) for name in _PER_CELL}
-        return Estimate(**arrays)  # type: ignore[arg-type]
-
-
-def _read_pack(state: NDArray[np.float64], estimate: Estimate, hidden: bool) -> None:
-    """Copy every cell's results into the arrays that `estimate` holds."""
-    soc, sigma, predicted, innovation, variance, nis, age = (np.asarray(getattr(estimate, name)) for name in _PER_CELL)
-    if hidden:
-        soc[:] = sigma[:] = math.nan
-    else:
-        np.clip(state[:, layout.SOC], 0.0, 1.0, out=soc)
-        sigma[:] = state[:, _SIGMA]
-    predicted[:] = state[:, _VOLTAGE_PRED]
-    innovation[:] = state[:, _INNOVATION]
-    variance[:] = state[:, _INNOVATION_VAR]
-    np.divide(innovation * innovation, variance, out=nis)
-    age[:] = state[:, _AGE]
+        return Estimate(**{name: np.full(self.cells, math.nan) for name in _SHOWN})  # type: ignore[arg-type]

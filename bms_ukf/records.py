@@ -75,3 +75,4 @@ class Estimate:
     age_s: PerCell = NAN  # time since a voltage was last fused
     status: Status = Status.INITIALISING
     faults: Fault = Fault.NONE
+    current_bias_A: PerCell = NAN  # what the current sensor shows too much, positive = discharge; NaN: not estimated

@@ -24,6 +24,7 @@ class Tuning(Section):
     initial_current_sigma_A: NonNegative | None = None  # unseen load before the first sample; None: C/5
 
     current_offset_sigma_A: Positive | None = None  # None: C/100
+    current_bias: bool = False  # estimate the offset as a state of the filter
     current_gain_sigma: NonNegative = 0.01
     current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one
     voltage_sensor_sigma_V: NonNegative = 0.002
@@ -40,7 +41,7 @@ class Tuning(Section):
     wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # above it sigma points are too few for the OCV curve
     soc_sigma_invalid: Annotated[float, Field(gt=0, le=0.5)] = 0.35
 
-    # Sigma points. alpha = 1 makes every weight non-negative and is the only sound choice in float32.
+    # Sigma points; `kernel.params` refuses a set that is unsound. alpha = 1 makes every weight non-negative.
     alpha: Annotated[float, Field(gt=0, le=1)] = 1.0
-    beta: NonNegative = 2.0
-    kappa: NonNegative = 0.0
+    beta: float = 2.0
+    kappa: float = 0.0

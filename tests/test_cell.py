@@ -53,7 +53,7 @@ def test_a_good_file_is_read_as_it_stands(tmp_path, data):
         # A key that does not exist, with the one that was meant.
         ("cell.capacity_ah", 5.0, ["cell.capacity_ah is 5.0", "did you mean capacity_Ah?"]),
         ("dynamics.r0_ohms", [[0.1]], ["dynamics.r0_ohms", "did you mean r0_ohm?"]),
-        ("hysteresis", 1, ["hysteresis is 1", "no such key", "known: format, cell"]),
+        ("humidity", 1, ["humidity is 1", "no such key", "known: format, cell"]),
         ("noise.zzz", 1.0, ["noise.zzz is 1.0", "voltage_sigma_V"]),
         # A key that is missing.
         ("cell.capacity_Ah", None, ["cell.capacity_Ah", "missing"]),

@@ -29,7 +29,7 @@ def started(cell: CellParams, soc: float = 0.5, temperature: float = 25.0) -> Re
     record = Record(cell, Tuning(initial_soc=soc))
     ocv = float(cell.ocv_V(soc, temperature))
     record.tick(0.0, 0.0, ocv, temperature)
-    record.state[:3] = soc, 0.0, 0.0
+    record.x = [soc, 0.0, 0.0]
     return record
 
 
@@ -87,7 +87,7 @@ def test_every_dynamics_channel_is_its_own_table_of_the_cell_file():
     record = Record(NONLINEAR)
     for temperature in (-10.0, 10.0, 25.0, 45.0):
         for soc in NONLINEAR.dynamics.soc:
-            expected = [float(v) for v in NONLINEAR.dynamics_at(soc, temperature).values()]
+            expected = {key: float(v) for key, v in NONLINEAR.dynamics_at(soc, temperature).items()}
             # 10 and 25 degC fall between the kernel's rows, which are 5 K apart or less.
             assert record.dynamics(soc, temperature) == pytest.approx(expected, rel=2e-3)
 
@@ -106,7 +106,7 @@ def test_resistance_between_temperatures_follows_arrhenius():
     at_0, at_25 = (float(NONLINEAR.dynamics_at(0.3, T)["r0_ohm"]) for T in (0.0, 25.0))
     assert at_0 / at_25 == pytest.approx(factor, rel=1e-12)
     record = Record(NONLINEAR)
-    assert record.dynamics(0.3, 0.0)[0] / record.dynamics(0.3, 25.0)[0] == pytest.approx(factor, rel=2e-3)
+    assert record.dynamics(0.3, 0.0)["r0_ohm"] / record.dynamics(0.3, 25.0)["r0_ohm"] == pytest.approx(factor, rel=2e-3)
 
 
 @settings(deadline=None, max_examples=60)
@@ -133,8 +133,8 @@ def test_many_short_steps_are_one_long_step(current, dt, n):
 @given(steps, st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
 def test_no_current_keeps_soc_and_lets_the_rc_voltages_decay(dt, v1, v2):
     record = started(NONLINEAR)
-    record.state[1:3] = v1, v2
-    tau1, tau2 = (record.dynamics(0.5, 25.0)[channel] for channel in (2, 4))
+    record.x = [record.x[0], v1, v2]
+    tau1, tau2 = (record.dynamics(0.5, 25.0)[key] for key in ("tau1_s", "tau2_s"))
     record.tick(dt, 0.0)
     assert record.x == pytest.approx([0.5, v1 * math.exp(-dt / tau1), v2 * math.exp(-dt / tau2)], rel=1e-12, abs=1e-17)
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
+import platform
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 import synthetic_cell
-from kernel_record import N, Record
-from numba import types
+from drives import float32_against_float64, steady, variant
+from kernel_record import Record
 
 from bms_ukf import CellParams, Estimator, Sample, Tuning
-from bms_ukf.kernel import entry, layout, memory, step
+from bms_ukf.kernel import entry, jit, layout
 from bms_ukf.kernel.params import params
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
@@ -42,60 +44,77 @@ def called(function: str) -> set[str]:
     return names
 
 
-@numba.njit(**memory._OPTIONS)
-def step_f32(params, state, dt, current, voltage, temperature):
-    p, s = memory.pointer_f32(params), memory.pointer_f32(state)
-    return step.step_cell(p, s, 0, N, dt, current, voltage, temperature)
+FORMS = {
+    "[soc, v1, v2]": (2, False, False, False),
+    "all there is": (3, True, True, True),
+}
+COMPILED = """
+import sys
+import tempfile
+from bms_ukf.kernel import entry, jit
+from bms_ukf.kernel.layout import form
+n_rc, hysteresis, bias, core, lanes, bits = eval(sys.argv[1])
+entry.tick(form(n_rc, hysteresis, bias, core, lanes, bits == 32), bits)
+tick, = jit.DISPATCHERS
+show = tick.inspect_asm if sys.argv[2] == "asm" else tick.inspect_llvm
+print(*show().values())
+"""
 
 
-@pytest.fixture(scope="module")
-def f32():
-    address, real = types.int64, types.float32
-    step_f32.compile(types.int64(address, address, real, real, real, real))
-    step_f32.disable_compile()
-    return step_f32
+@functools.cache
+def compiled(form: tuple[int, bool, bool, bool], lanes: int, bits: int, what: str) -> str:
+    """The code of a tick, from a process with an empty cache: numba shows none of what it took from a cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        command = [sys.executable, "-c", COMPILED, repr((*form, lanes, bits)), what]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
 
-def test_the_compiled_tick_calls_no_allocator_and_no_python(tmp_path):
-    """In a process with an empty cache: numba shows no code of what it took from a cache."""
-    code = "from bms_ukf.kernel import entry; print(*entry.tick.inspect_llvm().values())"
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    # Mathematical functions, the smaller of two integers, and clearing the stack: nothing else.
+@pytest.mark.parametrize(
+    ("form", "lanes", "bits"),
+    [(FORMS["[soc, v1, v2]"], 1, 64), (FORMS["[soc, v1, v2]"], 16, 64), (FORMS["all there is"], 1, 32)],
+    ids=["one cell", "pack", "all there is, float32"],
+)
+def test_a_compiled_tick_calls_no_allocator_and_no_python(form, lanes, bits):
+    # Mathematical functions, the smaller of two integers, and clearing and copying the stack: nothing else.
     allowed = re.compile(
-        r"(sqrt|exp|expm1|log|asinh|llvm\.(sqrt|exp|log|fabs|fma|fmuladd|floor|m(ax|in)num|[su]m(ax|in)|memset|lifetime)\..*)$"
+        r"((sqrt|exp|log)f?|llvm\.(sqrt|exp|log|fabs|fma|fmuladd|floor|m(ax|in)num|[su]m(ax|in)|mem(set|cpy|move)|lifetime"
+        r"|masked\.(load|store|gather)|vector\.reduce\.\w+|usub\.sat|experimental\.noalias\.scope\.decl|assume)\b.*)$"
     )
-    assert {name for name in called(numeric_part(done.stdout)) if not allowed.match(name)} == set()
+    assert {
+        name for name in called(numeric_part(compiled(form, lanes, bits, "llvm"))) if not allowed.match(name)
+    } == set()
 
 
-def test_a_float32_instance_computes_nothing_in_double(f32):
-    function = numeric_part(f32.inspect_llvm(f32.signatures[0]))
+def test_the_loops_over_states_are_gone_and_their_vectors_in_registers():
+    """What is left of one cell's tick is the quadrature for wide beliefs, and its two arrays of 64 on the stack."""
+    function = numeric_part(compiled(FORMS["[soc, v1, v2]"], 1, 64, "llvm"))
+    assert re.findall(r"alloca \[(\d+) x double\]", function) == ["64", "64"]
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="looks for x86-64 vector instructions")
+@pytest.mark.parametrize("bits", [64, 32])
+def test_a_packs_tick_takes_the_square_roots_of_several_cells_at_once(bits):
+    """Three for the time update, three for the process noise, three for the measurement, five for the ohmic drop."""
+    code = compiled(FORMS["[soc, v1, v2]"], 16, bits, "asm")
+    several = re.findall(rf"\bv?sqrtp{'d' if bits == 64 else 's'}\b", code)
+    assert len(several) >= 14, len(several)
+
+
+def test_a_float32_instance_computes_nothing_in_double():
+    function = numeric_part(compiled(FORMS["all there is"], 1, 32, "llvm"))
+    lines = [line for line in function.splitlines() if "double" in line]
+    # But for its two arguments, the step's length and the current, which are float64 for everyone.
+    assert [line for line in lines if "%arg." not in line and not line.startswith("define")] == []
     assert "float" in function
-    assert [line for line in function.splitlines() if "double" in line] == []
 
 
-def test_a_float32_instance_follows_the_float64_one(f32):
-    """Loosely: SoC in a plain float32 loses what a step adds to it below 6e-8."""
-    tuning = Tuning(initial_soc=0.8, initial_soc_sigma=0.1)
-    record = Record(CELL, tuning)
-    p32, s32 = record.params.astype(np.float32), record.state.astype(np.float32)
-    rng = np.random.default_rng(11)
-    held = layout.held_offset(N)
-    soc, worst = 0.9, 0.0
-    for _ in range(10_000):
-        current = 1.2 + 2 * rng.standard_normal()
-        soc -= current / 18000
-        voltage = record.ocv(soc, 25.0) - 0.04 * current + 0.003 * rng.standard_normal()
-        inputs = [float(np.float32(value)) for value in (1.0, current, voltage, 25.0)]
-        status, faults = record.tick(*inputs)
-        code = f32(p32.ctypes.data, s32.ctypes.data, *inputs)
-        assert code == faults | (status << step.STATUS_SHIFT)
-        worst = max(worst, abs(float(s32[layout.SOC]) - record.x[0]))
-    assert worst < 1e-4
-    assert soc < 0.3
-    assert s32[: held + layout.H_GAP_S] == pytest.approx(
-        record.state[: held + layout.H_GAP_S], rel=0.02, abs=1e-3, nan_ok=True
-    )
+@pytest.mark.parametrize("rate_hz", [1, 10, 100])
+def test_float32_follows_float64_at_any_sample_rate(rate_hz):
+    """Within 1e-5 of SoC over 1e6 steps: a plain float32 SoC would lose what a step of 10 ms adds to it."""
+    difference, travelled = float32_against_float64(rate_hz, steps=1_000_000)
+    assert travelled > 0.1
+    assert difference < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -104,37 +123,38 @@ def test_a_float32_instance_follows_the_float64_one(f32):
 )
 def test_a_change_to_any_source_makes_the_cached_code_stale(tmp_path, monkeypatch, changed):
     """numba itself looks at the file of the cached function only, which is `kernel/entry.py`."""
-    package = Path(memory.__file__).parent.parent
+    package = Path(jit.__file__).parent.parent
     shutil.copytree(package / "kernel", tmp_path / "kernel", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(package / "records.py", tmp_path)
-    here = memory._source_stamp.__wrapped__()
-    monkeypatch.setattr(memory, "__file__", str(tmp_path / "kernel" / "memory.py"))
-    assert memory._source_stamp.__wrapped__() == here  # contents count, not times
+    here = jit.source_stamp.__wrapped__()
+    monkeypatch.setattr(jit, "__file__", str(tmp_path / "kernel" / "jit.py"))
+    assert jit.source_stamp.__wrapped__() == here  # contents count, not times
     with (tmp_path / changed).open("a") as source:
         source.write("\n")
-    assert memory._source_stamp.__wrapped__() != here
+    assert jit.source_stamp.__wrapped__() != here
 
 
 def test_the_stamp_is_what_numba_compares():
-    for function in (entry.tick, entry.ocv, entry.dynamics):
-        assert function._cache._cache_file._source_stamp == memory._source_stamp()
+    Estimator(CELL), entry.ocv()
+    for dispatcher in jit.DISPATCHERS:
+        assert dispatcher._cache._cache_file._source_stamp == jit.source_stamp()
 
 
 def test_the_buffers_start_on_a_cache_line():
     estimator = Estimator(CELL, 7)
     assert params(CELL, Tuning()).ctypes.data % 64 == 0
-    assert estimator._params_address % 64 == 0
-    assert estimator._state_address % 64 == 0
+    assert [address % 64 for address in estimator._addresses[:3]] == [0, 0, 0]
 
 
 def test_every_slot_of_the_header_is_written_once_and_has_one_name():
     slots = {name: value for name, value in vars(layout).items() if name.startswith("P_")}
     starts = sorted(slots.values())
     assert len(set(starts)) == len(starts)
-    widths = {layout.P_OCV: layout.T_INV_DSOC + 1, layout.P_DYN: layout.T_INV_DSOC + 1}
+    widths = {layout.P_OCV: layout.T_INV_DTEMP + 1, layout.P_DYN: layout.T_INV_DTEMP + 1}
+    widths[layout.P_VAR_V] = layout.N_RC_MAX + 1
     covered = [slot for start in starts for slot in range(start, start + widths.get(start, 1))]
     assert covered == list(range(layout.PARAMS_HEADER))
-    header = params(CELL, Tuning(initial_soc=0.5))[: layout.PARAMS_HEADER]
+    header = params(variant(3, hysteresis=True, core=True), Tuning(initial_soc=0.5))[: layout.PARAMS_HEADER]
     assert np.isfinite(header).all()
 
 
@@ -144,7 +164,7 @@ def simulate(tuning: Tuning, cell: CellParams, cells: int, steps: int, seed: int
     model, noise = Record(cell, tuning), cell.noise
     table = np.linspace(-0.1, 1.1, 4801)
     ocv = np.array([model.ocv(soc, 25.0) for soc in table])
-    r0, r1, tau1, r2, tau2, knee = model.dynamics(tuning.initial_soc, 25.0)
+    r0, _, knee, r1, tau1, r2, tau2 = model.dynamics(tuning.initial_soc, 25.0).values()
     charge = 3600 * cell.cell.capacity_Ah
     soc = tuning.initial_soc + tuning.initial_soc_sigma * rng.standard_normal(cells)
     v1, v2 = (
@@ -177,15 +197,8 @@ def simulate(tuning: Tuning, cell: CellParams, cells: int, steps: int, seed: int
 
 @pytest.fixture(scope="module")
 def matched():
-    data = synthetic_cell.nonlinear()
-    dynamics = data["dynamics"]
-    for key in dynamics.keys() - {
-        "soc",
-        "temperature_degC",
-    }:  # so that reading them at the mean SoC is no approximation
-        dynamics[key] = [[row[3]] * len(row) for row in dynamics[key]]
     tuning = Tuning(initial_soc=0.8, initial_soc_sigma=0.02, gate_sigmas=8.0)
-    return simulate(tuning, synthetic_cell.cell_of(data), cells=300, steps=600, seed=2)
+    return simulate(tuning, steady(), cells=300, steps=600, seed=2)
 
 
 def test_mean_nis_on_a_matched_model_is_that_of_a_chi_square(matched):
@@ -202,11 +215,45 @@ def test_95_percent_of_the_truth_lies_in_the_95_percent_band_on_a_matched_model(
         assert 0.90 < part.mean() < 0.99
 
 
-@pytest.mark.parametrize(("prefix", "size"), [("P_", layout.PARAMS_HEADER), ("H_", layout.H_B + 1), ("T_", 7)])
-def test_no_two_slots_of_a_buffer_share_a_place(prefix, size):
-    """P_OCV and P_DYN are the first of the seven slots that a table descriptor takes."""
-    places = [value for name, value in vars(layout).items() if name.startswith(prefix)]
-    assert len(set(places)) == len(places)
-    descriptors = {first + offset for first in (layout.P_OCV, layout.P_DYN) for offset in range(7)}
-    taken = set(places) | (descriptors if prefix == "P_" else set())
-    assert taken == set(range(size))
+@pytest.mark.parametrize(
+    ("prefix", "wide", "size"),
+    [
+        ("P_", {"P_OCV": 6, "P_DYN": 6, "P_VAR_V": layout.N_RC_MAX + 1}, layout.PARAMS_HEADER),
+        ("H_", {}, layout.HELD),
+        ("T_", {}, 6),
+        ("OUT_", {}, layout.IO_ROWS),
+        (
+            "Y_",
+            {
+                "Y_OCV_AT": 3,
+                "Y_OCV_D": 3,
+                "Y_B": layout.N_MAX,
+                "Y_DYN": layout.CHANNELS_MAX,
+                "Y_FALL": layout.N_RC_MAX + 2,
+                "Y_FADE": layout.N_RC_MAX,
+            },
+            layout.VALUES,
+        ),
+    ],
+)
+def test_no_two_slots_of_a_buffer_share_a_place(prefix, wide, size):
+    taken = [
+        place + offset
+        for name, place in vars(layout).items()
+        if name.startswith(prefix)
+        for offset in range(wide.get(name, 1))
+    ]
+    first = 2 if prefix == "OUT_" else 0  # after IN_VOLTAGE and IN_TEMPERATURE
+    assert sorted(taken) == list(range(first, size))
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=list(FORMS))
+@pytest.mark.parametrize("compensated", [False, True])
+def test_the_parts_of_a_record_follow_each_other(form, compensated):
+    m = layout.form(*form, lanes=16, compensated=compensated)
+    packed = m.n * (m.n + 1) // 2
+    assert (m.x, m.root, m.carry) == (layout.HELD, layout.HELD + m.n, layout.HELD + m.n + packed)
+    assert m.cache == m.carry + m.n * compensated
+    assert m.size == m.cache + layout.C_VALUES + 2 * m.channels
+    assert m.n <= layout.N_MAX
+    assert m.channels <= layout.CHANNELS_MAX

@@ -29,8 +29,9 @@ MAY_IMPORT = {
     "pchip": set(),
     "cell": {"errors", "pchip", "records", "resources", "toml"},
     "tuning": {"errors", "toml"},
-    "kernel": {"cell", "kernel", "pchip", "records", "tuning"},
+    "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
     "estimator": {"cell", "errors", "kernel", "records", "tuning"},
+    "filter": {"cell", "kernel", "records", "tuning"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
@@ -45,7 +46,7 @@ KNOWN_TO = {
     "click": {"cli"},
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.
-PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator"}
+PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator", "filter"}
 IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
 
 SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]

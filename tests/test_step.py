@@ -13,6 +13,7 @@ from kernel_record import Record
 from bms_ukf import Fault, Status, Tuning
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
+RC = ("r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 CHARGE = 18000.0  # A s
 CURRENT_RANGE = 7.5  # A: half of -5..10
 NAN = math.nan
@@ -75,7 +76,7 @@ def test_without_an_opinion_the_first_voltage_decides_the_soc(soc, current):
 @pytest.mark.parametrize("minutes", [0, 60])
 def test_a_start_under_load_is_honest_whether_the_load_is_new_or_old(current, minutes):
     record, soc = Record(CELL), 0.6
-    _, r1, tau1, r2, tau2, _ = record.dynamics(soc, 25.0)
+    r1, tau1, r2, tau2 = (record.dynamics(soc, 25.0)[key] for key in RC)
     begun = [r * current * -math.expm1(-60 * minutes / tau) for r, tau in ((r1, tau1), (r2, tau2))]
     record.tick(0.0, current, predicted(record, soc, current) - sum(begun), 25.0)
     assert abs(record.x[0] - soc) < 2 * record.root[0, 0]
@@ -151,7 +152,7 @@ def test_voltages_refused_for_reject_s_are_believed_in_the_end_and_the_sigma_is_
     faults_seen = []
     for k in range(200):
         truth -= current / CHARGE
-        _, r1, tau1, r2, tau2, _ = record.dynamics(truth, 25.0)
+        r1, tau1, r2, tau2 = (record.dynamics(truth, 25.0)[key] for key in RC)
         v1 += (r1 * current - v1) * -math.expm1(-1 / tau1)
         v2 += (r2 * current - v2) * -math.expm1(-1 / tau2)
         status, faults = record.tick(1.0, current, predicted(record, truth, current) - v1 - v2, 25.0)
@@ -290,7 +291,7 @@ def test_two_samples_of_one_moment_move_no_time():
 def test_a_step_that_overflows_is_refused_whole_and_the_next_one_works(voltage):
     record = running()
     before = record.belief
-    status, faults = record.tick(1e300, 1.0, voltage, 25.0)  # the square of its gap is infinite
+    status, faults = record.tick(math.inf, 1.0, voltage, 25.0)
     assert faults & Fault.NUMERIC
     assert status is Status.DEGRADED
     assert record.belief == before

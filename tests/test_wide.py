@@ -9,10 +9,10 @@ import pytest
 import synthetic_cell
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kernel_record import ROOT, N, Record
+from kernel_record import Record
 
 from bms_ukf import CellParams, Fault, Tuning
-from bms_ukf.kernel.step import VOLTAGE_ERROR_S
+from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
 LINEAR = synthetic_cell.cell_of(synthetic_cell.linear())
@@ -24,8 +24,7 @@ def believing(cell: CellParams, tuning: Tuning, x: np.ndarray, P: np.ndarray) ->
     """A running record at 25 degC and 1 A, with the belief set."""
     record = Record(cell, tuning)
     record.tick(0.0, 1.0, 3.5, 25.0)
-    record.state[:N] = x
-    record.state[ROOT] = np.linalg.cholesky(P)[np.tril_indices(N)]
+    record.x, record.root = x, np.linalg.cholesky(P)
     record["voltage_age"] = VOLTAGE_ERROR_S  # the next voltage is not crowded
     return record
 
@@ -110,7 +109,7 @@ def test_a_start_that_is_told_wrong_by_a_sigma_becomes_right_and_is_honest_on_th
     v1 = v2 = 0.0
     current = 2.0
     for k in range(900):
-        _, r1, tau1, r2, tau2, _ = record.dynamics(truth, 25.0)
+        r1, tau1, r2, tau2 = (record.dynamics(truth, 25.0)[key] for key in ("r1_ohm", "tau1_s", "r2_ohm", "tau2_s"))
         if k > 0:
             truth -= current / 18000
             v1 += (r1 * current - v1) * -math.expm1(-1 / tau1)

@@ -1,49 +1,127 @@
-"""The compiled functions, float64: what Python calls. Nothing else in the kernel is compiled on its own.
+"""The compiled functions: what Python calls. Nothing else in the kernel is compiled on its own.
 
-Buffers are passed as integer addresses (see `memory`); the cells' records, `RECORD_SIZE` numbers each, lie one after
-another. Compiling takes some seconds on a new machine and is cached on disk (NUMBA_CACHE_DIR).
+Buffers are passed as integer addresses (see `memory`) of aligned numbers of `bits` bits; their layout is a `Form`. Each
+variant is compiled when it is first asked for, which takes some seconds on a new machine, and cached (NUMBA_CACHE_DIR).
 """
 
 from __future__ import annotations
 
-from bms_ukf.kernel import ecm
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from bms_ukf.kernel import ecm, layout
 from bms_ukf.kernel import step as policy
-from bms_ukf.kernel.layout import H_INPUT_TEMPERATURE, H_INPUT_VOLTAGE, N_RC, held_at, record_size
-from bms_ukf.kernel.memory import entry, pointer_f64
-
-N = 1 + N_RC
-RECORD_SIZE = record_size(N)
+from bms_ukf.kernel.jit import entry
+from bms_ukf.kernel.layout import Form
+from bms_ukf.kernel.memory import pointer, real, vector
 
 
-@entry("int64(int64, int64, int64, float64, float64)")
-def tick(params: int, state: int, cells: int, dt: float, current: float) -> int:
-    """`step_cell` of every cell under one current (A), with the voltage and temperature in its record; dt >= 0 s.
+@functools.cache
+def tick(form: Form, bits: int) -> Callable[[int, int, int, int, float, float], int]:
+    """tick(params, state, io, cells, dt, current) -> code: `step.step` of every cell under one current, A; dt >= 0 s.
 
-    Returns the faults of all cells together (`records.Fault`) and, from bit STATUS_SHIFT up, a `records.Status`:
-    INITIALISING if any cell's is, else the worst.
+    `io` has `layout.IO_ROWS` rows of `cells` numbers. Returns the faults of all cells together (`records.Fault`) and,
+    from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, else the worst.
     """
-    p = pointer_f64(params)
-    s = pointer_f64(state)
-    faults = 0
-    worst = policy.OK
-    initialising = False
-    for cell in range(cells):
-        o = cell * RECORD_SIZE
-        h = o + held_at(N)
-        code = policy.step_cell(p, s, o, N, dt, current, s[h + H_INPUT_VOLTAGE], s[h + H_INPUT_TEMPERATURE])
-        faults |= code & policy.FAULT_MASK
-        worst = max(worst, code >> policy.STATUS_SHIFT)
-        initialising = initialising or code >> policy.STATUS_SHIFT == policy.INITIALISING
-    return faults | ((policy.INITIALISING if initialising else worst) << policy.STATUS_SHIFT)
+    (n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size) = form
+    copied, values = lanes * cache, lanes * layout.VALUES
+
+    def tick(params: int, state: int, io: int, cells: int, dt: float, current: float) -> int:
+        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        p = pointer(params, bits)
+        s = pointer(state, bits)
+        rows = pointer(io, bits)
+        w = vector(s, copied)
+        y = vector(s, values)
+        codes = 0
+        for block in range((cells + lanes - 1) // lanes):
+            first = block * lanes
+            count = 1 if lanes == 1 else min(lanes, cells - first)
+            codes |= policy.step(p, s, first * size, w, y, rows, first, cells, m, count, real(s, dt), real(s, current))
+        return policy.together(codes)
+
+    return entry(tick, "int64(int64, int64, int64, int64, float64, float64)")
 
 
-@entry("float64(int64, float64, float64)")
-def ocv(params: int, soc: float, temperature: float) -> float:
-    """Open-circuit voltage, V."""
-    return ecm.ocv(pointer_f64(params), soc, temperature)  # type: ignore[no-any-return]
+@functools.cache
+def replay(form: Form, bits: int) -> Callable[[int, int, int, int, int, int], int]:
+    """replay(params, state, io, steps, dt, current) -> code: `steps` ticks of one cell in one call.
+
+    `io` has `steps` rows of `layout.IO_ROWS` numbers, `dt` and `current` are arrays of `steps`; the code has the faults
+    of all ticks together and, from STATUS_SHIFT up, a status as that of `tick`.
+    """
+    (n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size) = form
+    copied, values, row = cache, layout.VALUES, layout.IO_ROWS
+
+    def replay(params: int, state: int, io: int, steps: int, dt: int, current: int) -> int:
+        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        p = pointer(params, bits)
+        s = pointer(state, bits)
+        rows = pointer(io, bits)
+        w = vector(s, copied)
+        y = vector(s, values)
+        spans = pointer(dt, bits)
+        currents = pointer(current, bits)
+        codes = 0
+        for k in range(steps):
+            codes |= policy.step(p, s, 0, w, y, rows, k * row, 1, m, 1, spans[k], currents[k])
+        return policy.together(codes)
+
+    return entry(replay, "int64(int64, int64, int64, int64, int64, int64)")
 
 
-@entry("float64(int64, float64, float64, int64)")
-def dynamics(params: int, soc: float, temperature: float, channel: int) -> float:
-    """One of r0, r1, tau1, r2, tau2, knee (channel 0..5), ohm, s or A."""
-    return ecm.dynamics(pointer_f64(params), soc, temperature, channel)  # type: ignore[no-any-return]
+class ThreeSteps(NamedTuple):
+    """`predict(params, state, work, dt, current, temperature)`, `innovate(params, state, work, voltage)` and
+    `update(params, state, work)` of one cell; all return fault bits. `work` has `layout.VALUES` numbers.
+    """
+
+    predict: Callable[[int, int, int, float, float, float], int]
+    innovate: Callable[[int, int, int, float], int]
+    update: Callable[[int, int, int], int]
+
+
+@functools.cache
+def three_steps(form: Form, bits: int) -> ThreeSteps:
+    (n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size) = form
+
+    def predict(params: int, state: int, work: int, dt: float, current: float, temperature: float) -> int:
+        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
+        return policy.predict(p, s, vector(s, cache), y, m, real(s, dt), real(s, current), real(s, temperature))
+
+    def innovate(params: int, state: int, work: int, voltage: float) -> int:
+        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
+        return policy.innovate(p, s, vector(s, cache), y, m, real(s, voltage))
+
+    def update(params: int, state: int, work: int) -> int:
+        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
+        return policy.update(p, s, vector(s, cache), y, m)
+
+    return ThreeSteps(
+        entry(predict, "int64(int64, int64, int64, float64, float64, float64)"),
+        entry(innovate, "int64(int64, int64, int64, float64)"),
+        entry(update, "int64(int64, int64, int64)"),
+    )
+
+
+@functools.cache
+def ocv() -> Callable[[int, float, float], float]:
+    """ocv(params, soc, temperature) -> open-circuit voltage, V; float64."""
+
+    def ocv(params: int, soc: float, temperature: float) -> Any:
+        return ecm.ocv(pointer(params, 64), soc, temperature)
+
+    return entry(ocv, "float64(int64, float64, float64)")
+
+
+@functools.cache
+def dynamics() -> Callable[[int, float, float, int, int], float]:
+    """dynamics(params, soc, temperature, channel, channels) -> a `layout.D_*` channel, ohm, s, A or V; float64."""
+
+    def dynamics(params: int, soc: float, temperature: float, channel: int, channels: int) -> Any:
+        return ecm.dynamics(pointer(params, 64), soc, temperature, channel, channels)
+
+    return entry(dynamics, "float64(int64, float64, float64, int64, int64)")

@@ -1,23 +1,68 @@
-"""Where everything lies in the two flat buffers of the kernel: `params` (constant) and `state` (one record per cell).
+"""Where everything lies in the kernel's flat buffers: `params` (constant), `state` (the cells' records), `io`.
 
-`params` is a header, whose slots are the `P_*` indices, followed by the tables. `state` holds `cells` records of
-`state_size(n)` numbers. In a record `n` is the number of filter states: SoC first, then the RC voltages.
+`params` is a header, whose slots are the `P_*` indices, followed by the tables.
+
+`state` holds the cells in blocks of `Form.lanes`, slot by slot: slot k of lane c of a block stands at `lanes k + c`. So
+a loop over the lanes meets neighbouring numbers and becomes vector instructions, and one cell alone (lanes = 1) is a
+plain record. A record is: what the policy holds (`H_*`), x, sqrt_P packed by rows, the carries of x (float32 only), and
+the cached part of the dynamics table (`C_*`).
+
+`io` holds rows of one number per cell: the measurements that a caller writes (`IN_*`) and the results (`OUT_*`).
 """
 
 from __future__ import annotations
 
-from bms_ukf.kernel.memory import inline
+from typing import NamedTuple
 
-N_RC = 2
-# The largest filter any variant may have. These size the vectors on the stack: x, packed sqrt_P, a dense n x n.
-N_MAX = 5
-PACKED_MAX = N_MAX * (N_MAX + 1) // 2
+from bms_ukf.kernel.jit import inline
+
+LANES = 16  # cells in a block of a pack. A float64 vector register holds 2 to 8: more lanes hide latency
+
+# The largest filter: SoC, three RC voltages, hysteresis, bias. These size the vectors on the stack.
+N_MAX = 6
 DENSE_MAX = N_MAX * N_MAX
+N_RC_MAX = 3
 
-# State index. SoC comes first: then the only sigma points that move SoC are +-gamma * sqrt_P[0, 0], and soc_sigma is
-# sqrt_P[0, 0] itself.
-SOC = 0
-V_RC1 = 1
+SOC = 0  # SoC comes first: only the two sigma points along the first column of sqrt_P move it
+V_RC1 = 1  # the voltages follow: v_rc1.., then hysteresis; the bias of the current sensor, if any, is last
+
+
+class Form(NamedTuple):
+    """A model variant and where its parts lie; constants of a compiled kernel. Make it by `form`."""
+
+    n_rc: int
+    hysteresis: int  # 0 or 1
+    bias: int  # 0 or 1
+    core: int  # 1: the core is warmer than the surface
+    lanes: int
+    compensated: int  # 1: x carries what rounding takes from it
+    n: int  # filter states
+    n_v: int  # of which voltages
+    channels: int  # of the dynamics table
+    x: int  # slots of a record
+    root: int
+    carry: int
+    cache: int
+    size: int
+
+
+def form(n_rc: int, hysteresis: bool, bias: bool, core: bool, lanes: int, compensated: bool) -> Form:
+    n_v = n_rc + hysteresis
+    n = 1 + n_v + bias
+    beliefs = n + n * (n + 1) // 2
+    channels = D_RC1 + 2 * n_rc + hysteresis
+    carry = HELD + beliefs
+    cache = carry + (n if compensated else 0)
+    size = cache + C_VALUES + 2 * channels
+    flags = int(hysteresis), int(bias), int(core)
+    return Form(n_rc, *flags, lanes, int(compensated), n, n_v, channels, HELD, HELD + n, carry, cache, size)
+
+
+@inline
+def tri(row: int, column: int) -> int:
+    """Index of an element of a lower-triangular matrix packed by rows."""
+    return row * (row + 1) // 2 + column
+
 
 # Header of `params`.
 P_CHARGE_COULOMB = 0  # capacity, A s
@@ -35,77 +80,105 @@ P_W = 11  # weight of each sigma point but the central one
 P_E2 = 12  # beta + alpha^2 (n + kappa - 1)
 P_VAR_VOLTAGE = 13  # fast voltage error, sensor and model, V^2, of one reading a VOLTAGE_ERROR_S
 P_R0_REL = 14  # relative error of r0
-P_RC_REL = 15  # relative error of r1, r2
-P_VAR_RC = 16  # N_RC slots: stationary variance of the model error carried by each RC voltage, V^2
-P_VAR_RC2 = 17
-P_CURRENT_OFFSET = 18  # one sigma of the current sensor's offset, A
-P_SOC_WALK_OFFSET = 19  # growth of SoC variance from an unknown current offset, 1/s
-P_SOC_WALK_GAIN = 20  # the same from an unknown current gain, 1/(s A^2)
-P_GATE2 = 21  # a voltage is refused when innovation^2 > gate2 * its variance
-P_REJECT_S = 22  # once voltages have been refused for so long the SoC believed is forgotten, s
-P_CURRENT_TIMEOUT = 23  # how long a current is held, s
-P_VOLTAGE_TIMEOUT = 24
-P_TEMPERATURE_TIMEOUT = 25
-P_CURRENT_RANGE = 26  # one sigma of the current while none is known, A
-P_SOC_SIGMA_MAX = 27  # ceiling of soc_sigma
-P_SOC_SIGMA_INVALID = 28  # a wider soc_sigma is not worth publishing
-P_INITIAL_SOC = 29
-P_INITIAL_SIGMA = 30
-P_INITIAL_CURRENT = 31  # one sigma of the current before the first sample, A
-P_WIDE_SIGMA = 32  # a soc_sigma above it is updated by quadrature
-P_OCV = 33  # the two table descriptors, see the T_* offsets
-P_DYN = 40
-PARAMS_HEADER = 47
+P_RC_REL = 15  # relative error of r1..
+P_VAR_V = 16  # N_RC_MAX + 1 slots: stationary variance of the model error each voltage state carries, V^2
+P_CURRENT_OFFSET = 20  # one sigma of the current sensor's offset, A; 0 where a bias state carries it
+P_SOC_WALK_OFFSET = 21  # growth of SoC variance from an unknown current offset, 1/s
+P_SOC_WALK_GAIN = 22  # the same from an unknown current gain, 1/(s A^2)
+P_BIAS_SIGMA = 23  # stationary sigma of the bias state, A
+P_BIAS_TAU = 24  # and its correlation time, s
+P_HYSTERESIS_RATE = 25  # of the hysteresis voltage's way to its target per charge moved, 1/(A s)
+P_CORE_K_PER_W = 26  # core above surface temperature per loss
+P_CORE_TAU = 27
+P_GATE2 = 28  # a voltage is refused when innovation^2 > gate2 * its variance
+P_REJECT_S = 29  # once voltages have been refused for so long the SoC believed is forgotten, s
+P_CURRENT_TIMEOUT = 30  # how long a current is held, s
+P_VOLTAGE_TIMEOUT = 31
+P_TEMPERATURE_TIMEOUT = 32
+P_CURRENT_RANGE = 33  # one sigma of the current while none is known, A
+P_SOC_SIGMA_MIN = 34  # floor and ceiling of soc_sigma
+P_SOC_SIGMA_MAX = 35
+P_SOC_SIGMA_INVALID = 36  # a wider soc_sigma is not worth publishing
+P_INITIAL_SOC = 37
+P_INITIAL_SIGMA = 38
+P_INITIAL_CURRENT = 39  # one sigma of the current before the first sample, A
+P_WIDE_SIGMA = 40  # a soc_sigma above it is updated by quadrature
+P_CACHE_TEMPERATURE = 41  # a cached table row serves until the temperature has moved by more, K
+P_OCV = 42  # the two table descriptors, see the T_* offsets
+P_DYN = 48
+PARAMS_HEADER = 54
 
 # A table descriptor: rows over temperature, knots over SoC, both uniform.
 T_OFFSET = 0  # where its numbers start in `params`
 T_ROWS = 1  # at least 2
 T_ROW_SIZE = 2  # numbers per row
-T_KNOTS = 3  # SoC intervals (OCV) or SoC knots minus 1 (dynamics): the same number
+T_INTERVALS = 3  # of SoC, from 0 to 1
 T_TEMP0 = 4  # degC of row 0
 T_INV_DTEMP = 5  # 1/K
-T_INV_DSOC = 6  # SoC 0 is knot 0
 
 OCV_COEFFICIENTS = 4  # of each SoC interval: cubic in the fraction of the interval, constant term first
-DYN_CHANNELS = 6  # of each SoC knot: r0, then r, tau of each RC pair, then the knee of r0
 
+# Channels of the dynamics table at each SoC knot.
+D_R0 = 0  # ohm, on discharge
+D_R0_CHARGE = 1
+D_KNEE = 2  # A
+D_RC1 = 3  # r1, tau1, then r2, tau2.. (ohm, s), then the largest hysteresis voltage (V)
+CHANNELS_MAX = D_RC1 + 2 * N_RC_MAX + 1
 
-@inline
-def tri(row: int, column: int) -> int:
-    """Index of an element of a lower-triangular matrix packed by rows."""
-    return row * (row + 1) // 2 + column
-
-
-# One cell's record in `state`: the filter's own part first (x, then sqrt_P packed), then what steps leave for each
-# other and for their caller.
-def root_offset(n: int) -> int:
-    return n
-
-
-def held_offset(n: int) -> int:
-    return n + n * (n + 1) // 2
-
-
-def record_size(n: int) -> int:
-    return held_offset(n) + H_B + n
-
-
-root_at = inline(root_offset)
-held_at = inline(held_offset)
-
-# Offsets from held_at(n). An age or a value of NaN: never measured.
+# A record: what the policy holds. An age or a value of NaN: never measured.
 H_CURRENT = 0  # the last one accepted, A
 H_TEMPERATURE = 1  # the last one accepted, degC
 H_CURRENT_AGE = 2  # s since it was measured
 H_TEMPERATURE_AGE = 3
 H_VOLTAGE_AGE = 4  # s since a voltage was last fused; NaN: initialising
-H_REJECTED_S = 5  # s since the first of an unbroken row of refused voltages; NaN: the last one was fused
-H_GAP_S = 6  # s of charge not counted, in the present gap of the current
-H_VOLTAGE_PRED = 7  # V, before fusing
-H_INNOVATION = 8  # V; NaN: no voltage came
-H_INNOVATION_VAR = 9  # V^2
-H_ALPHA = 10  # the part of innovation_var that is not sqrt_P's: noise and curvature, V^2
-H_INPUT_VOLTAGE = 11  # a pack's measurements are written here before its tick, V and degC; NaN: not measured
-H_INPUT_TEMPERATURE = 12
-H_HEARD_AGE = 13  # s since a plausible voltage came, fused or refused
-H_B = 14  # n numbers: sqrt_P^-1 Pxz, V
+H_HEARD_AGE = 5  # s since a plausible voltage came, fused or refused
+H_REJECTED_S = 6  # s since the first of an unbroken row of refused voltages; NaN: the last one was fused
+H_GAP_S = 7  # s of charge not counted, in the present gap of the current
+H_CORE_RISE = 8  # core above surface temperature, K
+HELD = 9
+
+# Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
+C_KNOT = 0  # SoC knot; NaN: nothing cached
+C_TEMPERATURE = 1
+C_VALUES = 2
+
+# The step's own values, a slot per lane as in a record.
+Y_VOLTAGE = 0  # measured and plausible, V, else NaN
+Y_KNOWN = 1  # s of the step whose current is known
+Y_GAP = 2  # s of it whose current is not
+Y_CODE = 3  # fault bits, as a number: lanes of one type
+Y_ALIVE = 4  # 1: has a belief
+Y_SOC = 5  # where the tables are read: the mean predicted
+Y_T = 6  # temperature the tables are read at
+Y_DROP = 7  # ohmic drop, V
+Y_DROP_SLOPE = 8  # and its slope over the current, ohm
+Y_DROP_SIGMA = 9
+Y_OCV_AT = 10  # place of the OCV interval of each of three sigma points
+Y_OCV_D = 13  # fraction of the interval; then the OCV
+Y_OCV_F = 16  # fraction of the way between two temperature rows
+Y_PREDICTED = 17
+Y_INNOVATION = 18
+Y_VARIANCE = 19
+Y_ALPHA = 20  # the part of the variance that is not sqrt_P's: noise and curvature, V^2
+Y_NOISE = 21  # and of that, noise
+Y_FUSE = 22  # 1: the voltage is to be fused
+Y_STALE = 23  # 1: the cached table row does not serve
+Y_B = 24  # N_MAX slots: sqrt_P^-1 Pxz, V
+Y_DYN = Y_B + N_MAX  # CHANNELS_MAX slots
+Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, then of the core: 1 - exp(-time / tau)
+Y_FADE = Y_FALL + N_RC_MAX + 2  # the same over the gap
+VALUES = Y_FADE + N_RC_MAX
+
+# Rows of `io`.
+IN_VOLTAGE = 0  # V; NaN: not measured
+IN_TEMPERATURE = 1  # degC
+OUT_SOC = 2  # 0..1
+OUT_SOC_SIGMA = 3
+OUT_VOLTAGE_PRED = 4  # V, before fusing; NaN here and below: nothing to compare
+OUT_INNOVATION = 5  # V
+OUT_INNOVATION_VAR = 6  # V^2
+OUT_NIS = 7
+OUT_AGE = 8  # s since a voltage was fused
+OUT_BIAS = 9  # A; NaN without a bias state
+OUT_CODE = 10  # faults and status of the cell, as the tick returns those of all
+IO_ROWS = 11

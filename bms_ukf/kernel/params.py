@@ -1,43 +1,58 @@
-"""Writes a cell and a tuning into the kernel's `params` buffer."""
+"""Chooses the form of the filter for a cell and a tuning, and writes both into the kernel's `params` buffer."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf import pchip
 from bms_ukf.cell import CellParams
+from bms_ukf.errors import ConfigError
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.entry import N
+from bms_ukf.kernel.layout import Form, form
 from bms_ukf.tuning import Tuning
 
 Array = NDArray[np.float64]
+Precision = Literal["f32", "f64"]
+BITS = {"f32": 32, "f64": 64}
 
 # The kernel's tables are uniform, so that finding an interval is a multiplication.
 OCV_INTERVALS = 200
 DYN_INTERVALS = 40
 TEMPERATURE_STEP_K = 5.0
+SOC_SIGMA_MIN = 1e-4  # no reading of an OCV curve is better
 SOC_SIGMA_MAX = 0.5  # of a quantity between 0 and 1: more says nothing
+ROUNDING_MAX_V = 1e-4  # a tenth of what a good voltage sensor resolves
+CACHE_TEMPERATURE_K = 0.01  # resistances change by some 3 % a kelvin: what is cached is right to 0.03 %
 
 
-def params(cell: CellParams, tuning: Tuning) -> Array:
-    """The `params` buffer, 64-byte aligned, for `kernel.entry`."""
-    ocv, ocv_grid = _ocv_table(cell)
-    dyn, dyn_grid = _dynamics_table(cell)
-    p = aligned(k.PARAMS_HEADER + ocv.size + dyn.size)
+def form_of(cell: CellParams, tuning: Tuning, lanes: int = 1, bits: int = 64) -> Form:
+    """The filter that the cell and the tuning ask for."""
+    bias, core = tuning.current_bias, cell.thermal is not None
+    return form(cell.dynamics.n_rc, cell.hysteresis is not None, bias, core, lanes, compensated=bits == 32)
+
+
+def params(cell: CellParams, tuning: Tuning, bits: int = 64) -> NDArray[Any]:
+    """The `params` buffer, 64-byte aligned, of numbers of 32 or 64 bits."""
+    ocv, ocv_temperatures = _ocv_table(cell)
+    dyn, dyn_temperatures = _dynamics_table(cell)
+    p = np.full(k.PARAMS_HEADER + ocv.size + dyn.size, np.nan)
     _write_cell(p, cell, tuning)
-    _write_tuning(p, cell, tuning)
-    _write_table(p, k.P_OCV, k.PARAMS_HEADER, ocv, ocv_grid, OCV_INTERVALS)
-    _write_table(p, k.P_DYN, k.PARAMS_HEADER + ocv.size, dyn, dyn_grid, DYN_INTERVALS)
-    return p
+    _write_tuning(p, cell, tuning, bits)
+    _write_table(p, k.P_OCV, k.PARAMS_HEADER, ocv, ocv_temperatures, OCV_INTERVALS)
+    _write_table(p, k.P_DYN, k.PARAMS_HEADER + ocv.size, dyn, dyn_temperatures, DYN_INTERVALS)
+    buffer = aligned(p.size, bits)
+    buffer[:] = p
+    return buffer
 
 
-def aligned(size: int) -> Array:
-    """A float64 buffer of NaN that starts on a cache line."""
-    raw = np.full(size + 7, np.nan)
-    start = -raw.ctypes.data % 64 // 8
+def aligned(size: int, bits: int = 64) -> NDArray[Any]:
+    """A buffer of NaN that starts on a cache line."""
+    raw = np.full(size + 16, np.nan, dtype=np.float64 if bits == 64 else np.float32)
+    start: int = -raw.ctypes.data % 64 // raw.itemsize
     return raw[start : start + size]
 
 
@@ -54,25 +69,32 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
     p[k.P_CURRENT_RANGE] = (discharge - charge) / 2
     p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2
     p[k.P_R0_REL], p[k.P_RC_REL] = noise.r0_rel_sigma, noise.rc_rel_sigma
-    p[k.P_VAR_RC], p[k.P_VAR_RC2] = noise.v_rc1_sigma_V**2, noise.v_rc2_sigma_V**2
+    for j, sigma in enumerate(voltage_sigmas(cell)):
+        p[k.P_VAR_V + j] = sigma**2
+    p[k.P_HYSTERESIS_RATE] = cell.hysteresis.rate / p[k.P_CHARGE_COULOMB] if cell.hysteresis else 0.0
+    if cell.thermal:
+        p[k.P_CORE_K_PER_W], p[k.P_CORE_TAU] = cell.thermal.core_K_per_W, cell.thermal.core_tau_s
 
 
-def _write_tuning(p: Array, cell: CellParams, tuning: Tuning) -> None:
+def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None:
     capacity_Ah = cell.cell.capacity_Ah
     charge = p[k.P_CHARGE_COULOMB]
     offset_A = capacity_Ah / 100 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
     # An error that stays the same over the horizon H and is then redrawn: SoC walks with variance sigma^2 H per second.
-    p[k.P_CURRENT_OFFSET] = offset_A
-    p[k.P_SOC_WALK_OFFSET] = (offset_A / charge) ** 2 * tuning.current_error_horizon_s
+    # With a state of its own the offset is no noise.
+    unseen_A = 0.0 if tuning.current_bias else offset_A
+    p[k.P_BIAS_SIGMA], p[k.P_BIAS_TAU] = offset_A, tuning.current_error_horizon_s
+    p[k.P_CURRENT_OFFSET] = unseen_A
+    p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
     p[k.P_SOC_WALK_GAIN] = (tuning.current_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
-    spread = tuning.alpha**2 * (N + tuning.kappa)
-    p[k.P_GAMMA], p[k.P_W] = math.sqrt(spread), 1 / (2 * spread)
-    p[k.P_E2] = tuning.beta + tuning.alpha**2 * (N + tuning.kappa - 1)
+    _write_weights(p, form_of(cell, tuning).n, tuning, cell.cell.voltage_limits_V[1], bits)
     p[k.P_GATE2], p[k.P_REJECT_S] = tuning.gate_sigmas**2, tuning.reject_s
     p[k.P_CURRENT_TIMEOUT] = tuning.current_timeout_s
     p[k.P_VOLTAGE_TIMEOUT] = tuning.voltage_timeout_s
     p[k.P_TEMPERATURE_TIMEOUT] = tuning.temperature_timeout_s
-    p[k.P_SOC_SIGMA_MAX], p[k.P_SOC_SIGMA_INVALID] = SOC_SIGMA_MAX, tuning.soc_sigma_invalid
+    p[k.P_SOC_SIGMA_MIN], p[k.P_SOC_SIGMA_MAX] = SOC_SIGMA_MIN, SOC_SIGMA_MAX
+    p[k.P_SOC_SIGMA_INVALID] = tuning.soc_sigma_invalid
+    p[k.P_CACHE_TEMPERATURE] = CACHE_TEMPERATURE_K
     p[k.P_INITIAL_SOC] = tuning.initial_soc
     p[k.P_INITIAL_SIGMA] = tuning.initial_soc_sigma
     p[k.P_WIDE_SIGMA] = tuning.wide_soc_sigma
@@ -80,19 +102,49 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning) -> None:
     p[k.P_INITIAL_CURRENT] = capacity_Ah / 5 if unknown_load is None else unknown_load
 
 
+def _write_weights(p: Array, n: int, tuning: Tuning, voltage_V: float, bits: int) -> None:
+    """Raises ConfigError, with the reason, for a set of sigma points that is unsound for so many states and bits."""
+    alpha, beta, kappa = tuning.alpha, tuning.beta, tuning.kappa
+    spread = alpha**2 * (n + kappa)
+    if not spread > 0:
+        raise ConfigError("tuning", key="kappa", value=kappa, expected=f"above {-n}, as there are {n} states")
+    factor = beta + alpha**2 * (n + kappa - 1)
+    if factor < 0:
+        expected = f"beta + alpha^2 (n + kappa - 1) not below 0, got {factor:g}: a variance could turn negative"
+        raise ConfigError("tuning", key="beta", value=beta, expected=expected)
+    # The mean shift w (g+ + g- - 2 g0) has the rounding of four voltages in it, times w.
+    rounding_V = 4 * voltage_V * (2**-24 if bits == 32 else 2**-53) / (2 * spread)
+    if rounding_V > ROUNDING_MAX_V:
+        expected = f"larger: float{bits} would put {rounding_V:.1g} V of rounding into every predicted voltage"
+        raise ConfigError("tuning", key="alpha", value=alpha, expected=expected)
+    p[k.P_GAMMA], p[k.P_W], p[k.P_E2] = math.sqrt(spread), 1 / (2 * spread), factor
+
+
+def voltage_sigmas(cell: CellParams) -> list[float]:
+    """Of the model error that each voltage state carries, V."""
+    noise = cell.noise
+    sigmas = (noise.v_rc1_sigma_V, noise.v_rc2_sigma_V, noise.v_rc3_sigma_V, noise.hysteresis_sigma_V)
+    return [sigma for sigma in sigmas if sigma is not None]
+
+
+def state_names(cell: CellParams) -> list[str]:
+    """Of the filter's states but the bias."""
+    names = ["soc", *(f"v_rc{j + 1}_V" for j in range(cell.dynamics.n_rc))]
+    return [*names, "v_hyst_V"] if cell.hysteresis else names
+
+
 def _write_table(p: Array, descriptor: int, offset: int, table: Array, temperatures: Array, intervals: int) -> None:
     p[offset : offset + table.size] = table.ravel()
     p[descriptor + k.T_OFFSET] = offset
     p[descriptor + k.T_ROWS] = len(temperatures)
     p[descriptor + k.T_ROW_SIZE] = table[0].size
-    p[descriptor + k.T_KNOTS] = intervals
+    p[descriptor + k.T_INTERVALS] = intervals
     p[descriptor + k.T_TEMP0] = temperatures[0]
     p[descriptor + k.T_INV_DTEMP] = 1 / (temperatures[1] - temperatures[0])
-    p[descriptor + k.T_INV_DSOC] = intervals
 
 
 def _ocv_table(cell: CellParams) -> tuple[Array, Array]:
-    """(rows, intervals, 4) cubic coefficients in the fraction of an interval, and the rows' temperatures."""
+    """(rows, 1 + intervals + 1, 4) cubic coefficients in the fraction of an interval, and the rows' temperatures."""
     if cell.ocv.docv_dT_V_per_K is not None:
         temperatures = np.array(cell.cell.temperature_limits_degC)  # linear in between, exactly
     else:
@@ -101,14 +153,18 @@ def _ocv_table(cell: CellParams) -> tuple[Array, Array]:
     h = 1 / OCV_INTERVALS
     rows = []
     for temperature in temperatures:
-        coefficients = pchip.coefficients(soc, cell.ocv_V(soc, temperature))
-        rows.append(coefficients * h ** np.arange(k.OCV_COEFFICIENTS))
+        voltage = cell.ocv_V(soc, temperature)
+        inside = pchip.coefficients(soc, voltage) * h ** np.arange(k.OCV_COEFFICIENTS)
+        below = [voltage[0] - inside[0, 1], inside[0, 1], 0, 0]
+        above = [voltage[-1], inside[-1] @ [0, 1, 2, 3], 0, 0]
+        rows.append(np.vstack([below, inside, above]))
     return np.array(rows), temperatures
 
 
 def _dynamics_table(cell: CellParams) -> tuple[Array, Array]:
-    """(rows, knots, 6) values of r0, r1, tau1, r2, tau2, knee, and the rows' temperatures."""
-    temperatures = _uniform(cell.dynamics.temperature_degC)
+    """(rows, knots, channels) values of the `D_*` channels, and the rows' temperatures."""
+    known = cell.dynamics.temperature_degC + (cell.hysteresis.temperature_degC if cell.hysteresis else [])
+    temperatures = _uniform(sorted(known))
     soc = np.linspace(0, 1, DYN_INTERVALS + 1)
     rows = [np.column_stack(list(cell.dynamics_at(soc, temperature).values())) for temperature in temperatures]
     return np.array(rows), temperatures

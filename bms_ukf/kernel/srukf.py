@@ -1,18 +1,14 @@
 """The filter: a square-root unscented Kalman filter, written for the structure of the cell model.
 
-Assumes (and is the textbook SR-UKF of van der Merwe & Wan, ICASSP 2001, exactly, when it holds):
-  1. the process is affine with a diagonal matrix:  x' = diag(a) x + c + noise of covariance diag(q)^2;
-  2. the measurement is scalar and non-linear in SoC only:  z = ocv(soc) - drop - v_rc1 - v_rc2 + noise of variance r;
+Assumes, and is the textbook SR-UKF of van der Merwe & Wan (ICASSP 2001) exactly when it holds:
+  1. the process is affine:  x_j' = a_j x_j + g_j bias + c_j, with noise of covariance diag(q)^2;
+  2. the measurement is scalar and non-linear in SoC only:  z = ocv(soc) + (linear in the rest) + noise of variance r;
   3. SoC is the first state, sqrt_P lower triangular, and sigma points are redrawn after the time update.
-Then every sigma point but the two along the first column of sqrt_P meets the OCV at the mean SoC, so three look-ups
-stand for 2n + 1, the innovation variance is a sum of squares and the measurement update needs no downdate: sqrt_P
-cannot lose its positive diagonal. With gamma^2 = alpha^2 (n + kappa), w = 1 / (2 gamma^2) and g0, g+, g- the OCV at
-the mean and at +-gamma sqrt_P[0, 0]:
-  mean shift        e = w (g+ + g- - 2 g0)
-  sqrt_P^-1 Pxz     b_0 = w gamma (g+ - g-) + (H sqrt_P)_0,   b_j = (H sqrt_P)_j,   H = [0, -1, -1]
-  Pzz               b.b + r + e^2 (beta + alpha^2 (n + kappa - 1))
+DERIVATION.md has the proof. Three OCV look-ups stand for 2n + 1, the innovation variance is a sum of squares and the
+measurement update needs no downdate: sqrt_P cannot lose its positive diagonal.
 
-Each function computes aside and commits last: if a result is not finite, `state` is untouched and the answer is False.
+Every function works on lane `c` of a working copy `w` (see `layout`) and changes nothing else. What may come of
+overflow is caught where the copy is committed.
 """
 
 from __future__ import annotations
@@ -20,153 +16,192 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import (
     DENSE_MAX,
-    H_ALPHA,
-    H_B,
-    H_INNOVATION,
-    H_INNOVATION_VAR,
-    H_VOLTAGE_PRED,
     N_MAX,
     P_E2,
     P_GAMMA,
     P_W,
-    PACKED_MAX,
     SOC,
     V_RC1,
-    held_at,
-    root_at,
+    Y_ALPHA,
+    Y_B,
+    Y_DROP_SLOPE,
+    Y_FUSE,
+    Y_INNOVATION,
+    Y_NOISE,
+    Y_PREDICTED,
+    Y_VARIANCE,
     tri,
 )
-from bms_ukf.kernel.memory import inline, real, vector
+from bms_ukf.kernel.memory import real, vector
 
 
 @inline
-def predict(s: Any, o: int, n: int, a: Any, c: Any, q: Any) -> bool:
-    """Time update of the record at `o`: x <- a x + c, sqrt_P <- tria([diag(a) sqrt_P, diag(q)]); n numbers each."""
-    x = vector(s, N_MAX)
-    root = vector(s, PACKED_MAX)
-    for j in range(n):
-        x[j] = a[j] * s[o + j] + c[j]
-        for k in range(j + 1):
-            root[tri(j, k)] = a[j] * s[o + root_at(n) + tri(j, k)]
-    triangularise(s, n, root, q)
-    return commit(s, o, n, x, root)
+def add(w: Any, c: int, m: Any, j: int, increment: Any) -> None:
+    """Add to x[j]; compensated (Kahan), what rounding takes off is carried on.
 
-
-@inline
-def triangularise(s: Any, n: int, root: Any, q: Any) -> None:
-    """Replace the lower-triangular `root` by that of root root^T + diag(q)^2, with Householder reflections.
-
-    The reflection for column j touches only that column and the noise columns 0..j, the others being zero below row j
-    (`noise` keeps what earlier reflections spilled into them). A zero variance would divide 0 by 0: q is positive.
+    In float32 a SoC near 1 cannot be moved by less than 3e-8, which is 10 mA over 50 s on 5 Ah.
     """
-    noise = vector(s, DENSE_MAX)
+    W = m.lanes
+    here = W * (m.x + j) + c
+    old = w[here]
+    if m.compensated:
+        there = W * (m.carry + j) + c
+        carry = w[there]
+        whole = increment + carry
+        new = old + whole
+        w[there] = whole - (new - old)
+        w[here] = new
+    else:
+        w[here] = old + increment
+
+
+@inline
+def predict(w: Any, c: int, m: Any, lost: Any, g: Any, gain: Any, q: Any) -> None:
+    """Time update: x <- A x + gain, sqrt_P <- tria([A sqrt_P, diag(q)]), A = I - diag(lost) + g e_bias^T; (n,) each.
+
+    Given as what is lost of each state, 1 - a, because 1 - 1e-5 has half the digits of 1e-5.
+    """
+    W = m.lanes
+    move = vector(w, N_MAX)
+    last = m.n - 1
+    for j in range(m.n):
+        here = W * (m.x + j) + c
+        move[j] = gain[j] - lost[j] * w[here]
+        if m.bias:
+            move[j] += g[j] * w[W * (m.x + last) + c]
+    for j in range(m.n):
+        add(w, c, m, j, move[j])
+    triangularise(w, c, m, lost, g, q)
+
+
+@inline
+def triangularise(w: Any, c: int, m: Any, lost: Any, g: Any, q: Any) -> None:
+    """Replace sqrt_P by the lower triangle of [A sqrt_P, diag(q)]."""
+    W = m.lanes
+    n = m.n
+    root = vector(w, DENSE_MAX)
+    noise = vector(w, DENSE_MAX)
     for j in range(n):
         for k in range(n):
-            noise[n * j + k] = real(s, 0)
+            root[n * j + k] = real(w, 0)
+            noise[n * j + k] = real(w, 0)
+        for k in range(j + 1):
+            old = w[W * (m.root + tri(j, k)) + c]
+            root[n * j + k] = old - lost[j] * old
+        if m.bias:
+            for k in range(n):
+                root[n * j + k] += g[j] * w[W * (m.root + tri(n - 1, k)) + c]
         noise[n * j + j] = q[j]
     for j in range(n):
-        pivot = root[tri(j, j)]
-        squares = pivot * pivot
+        reflect(root, noise, n, j, n if m.bias else j + 1)
+    for j in range(n):
         for k in range(j + 1):
-            squares += noise[n * j + k] * noise[n * j + k]
-        norm = math.sqrt(squares)
-        # Reflecting to -norm and flipping the sign keeps the diagonal positive and pivot + norm free of cancellation.
-        u = pivot + norm
-        t = real(s, 1) / (norm * u)
-        for i in range(j + 1, n):
-            below = root[tri(i, j)]
-            dot = pivot * below
-            for k in range(j + 1):
-                dot += noise[n * j + k] * noise[n * i + k]
-            reflected = dot * t * u
-            d = (reflected + below) * t * norm
-            root[tri(i, j)] = reflected
-            for k in range(j + 1):
-                noise[n * i + k] -= d * noise[n * j + k]
-        root[tri(j, j)] = norm
+            w[W * (m.root + tri(j, k)) + c] = root[n * j + k]
 
 
 @inline
-def innovate(p: Any, s: Any, o: int, n: int, z: Any, drop: Any, g0: Any, g_plus: Any, g_minus: Any, r: Any) -> bool:
-    """Predict the measurement and compare; leaves prediction, innovation (z minus it) and its variance in the record.
+def reflect(root: Any, noise: Any, n: int, j: int, end: int) -> None:
+    """The Householder reflection that leaves row j of [root, noise] (n x 2n) its diagonal element only.
 
-    `g0, g_plus, g_minus`: OCV at SoC x[0] and at x[0] +- gamma sqrt_P[0, 0]; `drop`: the ohmic drop; `r`: variance of
-    the measurement. The belief (x, sqrt_P) is not touched, so a gate can stand between this and `update`.
+    Rows above j are done. Row j of `root` is zero from column `end` on, row j of `noise` beyond column j: without a
+    bias A sqrt_P is lower triangular, and `noise` keeps what earlier reflections spilled into its first columns.
+    A row of zeros would divide 0 by 0: q is positive.
     """
-    b = vector(s, N_MAX)
+    squares = real(root, 0)
+    for k in range(j, end):
+        squares += root[n * j + k] * root[n * j + k]
+    for k in range(j + 1):
+        squares += noise[n * j + k] * noise[n * j + k]
+    norm = math.sqrt(squares)
+    # Away from the pivot, so that nothing cancels; then the column's sign is flipped to keep the diagonal positive.
+    pivot = root[n * j + j]
+    sign = real(root, 1) if pivot >= real(root, 0) else real(root, -1)
+    inverse_norm = real(root, 1) / norm
+    inverse_away = real(root, 1) / (pivot + sign * norm)
+    for i in range(j + 1, n):
+        dot = real(root, 0)
+        for k in range(j, end):
+            dot += root[n * j + k] * root[n * i + k]
+        for k in range(j + 1):
+            dot += noise[n * j + k] * noise[n * i + k]
+        along = dot * inverse_norm
+        d = (root[n * i + j] + sign * along) * inverse_away
+        root[n * i + j] = along
+        for k in range(j + 1, end):
+            root[n * i + k] -= d * root[n * j + k]
+        for k in range(j + 1):
+            noise[n * i + k] -= d * noise[n * j + k]
+    root[n * j + j] = norm
+
+
+@inline
+def innovate(
+    p: Any, w: Any, y: Any, c: int, m: Any, z: Any, drop: Any, g0: Any, g_plus: Any, g_minus: Any, r: Any
+) -> None:
+    """Predict the measurement `z` and compare: leaves the prediction, the innovation (z minus it) and its variance.
+
+    `g0, g_plus, g_minus`: OCV at SoC x[0] and at x[0] +- gamma sqrt_P[0, 0]; `drop`: the ohmic drop at no bias; `r`:
+    variance of the measurement. The belief is not touched, so a gate can stand between this and `update`.
+    """
+    W = m.lanes
     e = p[P_W] * (g_plus + g_minus - g0 - g0)
     z_pred = g0 + e - drop
-    for j in range(V_RC1, n):
-        z_pred -= s[o + j]
-    bb = real(s, 0)
-    for k in range(n):
-        b[k] = real(s, 0)
-        for j in range(max(V_RC1, k), n):
-            b[k] -= s[o + root_at(n) + tri(j, k)]
-        if k == SOC:
-            b[k] += p[P_W] * p[P_GAMMA] * (g_plus - g_minus)
-        bb += b[k] * b[k]
+    for j in range(m.n_v):
+        z_pred -= w[W * (m.x + V_RC1 + j) + c]
+    slope = y[W * Y_DROP_SLOPE + c]
+    if m.bias:
+        z_pred += slope * w[W * (m.x + m.n - 1) + c]
     alpha = r + e * e * p[P_E2]
-    if not (math.isfinite(z - z_pred) and math.isfinite(alpha + bb)):
-        return False
-    h = o + held_at(n)
-    s[h + H_VOLTAGE_PRED] = z_pred
-    s[h + H_INNOVATION] = z - z_pred
-    s[h + H_INNOVATION_VAR] = alpha + bb
-    s[h + H_ALPHA] = alpha
-    for k in range(n):
-        s[h + H_B + k] = b[k]
-    return True
+    variance = alpha
+    for k in range(m.n):
+        b = real(w, 0)
+        for j in range(max(V_RC1, k), V_RC1 + m.n_v):
+            b -= w[W * (m.root + tri(j, k)) + c]
+        if m.bias:
+            b += slope * w[W * (m.root + tri(m.n - 1, k)) + c]
+        if k == SOC:
+            b += p[P_W] * p[P_GAMMA] * (g_plus - g_minus)
+        y[W * (Y_B + k) + c] = b
+        variance += b * b
+    y[W * Y_PREDICTED + c] = z_pred
+    y[W * Y_INNOVATION + c] = z - z_pred
+    y[W * Y_VARIANCE + c] = variance
+    y[W * Y_ALPHA + c] = alpha
+    y[W * Y_NOISE + c] = r
 
 
 @inline
-def update(s: Any, o: int, n: int) -> bool:
-    """Measurement update of the record at `o` with the innovation that `innovate` left there.
+def update(w: Any, y: Any, c: int, m: Any) -> None:
+    """Measurement update with what `innovate` left, where Y_FUSE is 1; where it is 0, x and sqrt_P stay.
 
     Carlson's triangular update (AIAA Journal 11(9), 1973, pp. 1259-1265), from the last column to the first: sums of
     squares only. Variances shrink or stay.
     """
-    x = vector(s, N_MAX)
-    root = vector(s, PACKED_MAX)
-    gain = vector(s, N_MAX)
-    h = o + held_at(n)
+    W = m.lanes
+    gain = vector(w, N_MAX)
+    n = m.n
     for j in range(n):
-        gain[j] = real(s, 0)
-        for k in range(j + 1):
-            root[tri(j, k)] = s[o + root_at(n) + tri(j, k)]
-    alpha = s[h + H_ALPHA]
+        gain[j] = real(w, 0)
+    fuse = y[W * Y_FUSE + c] == real(w, 1)
+    alpha = y[W * Y_ALPHA + c]
     for step in range(n):
         j = n - 1 - step
-        b = s[h + H_B + j]
+        b = y[W * (Y_B + j) + c]
         alpha_next = alpha + b * b
-        inverse = real(s, 1) / math.sqrt(alpha_next * alpha)
+        inverse = real(w, 1) / math.sqrt(alpha_next * alpha)
         keep = alpha * inverse
         take = b * inverse
         for i in range(j, n):
-            old = root[tri(i, j)]
-            root[tri(i, j)] = keep * old - take * gain[i]
+            here = W * (m.root + tri(i, j)) + c
+            old = w[here]
+            new = keep * old - take * gain[i]
             gain[i] += b * old
+            w[here] = new if fuse else old
         alpha = alpha_next
-    weight = s[h + H_INNOVATION] / alpha
+    weight = y[W * Y_INNOVATION + c] / alpha
     for j in range(n):
-        x[j] = s[o + j] + gain[j] * weight
-    return commit(s, o, n, x, root)
-
-
-@inline
-def commit(s: Any, o: int, n: int, x: Any, root: Any) -> bool:
-    """Make `x` and `root` the belief of the record at `o`, if all of them are finite."""
-    total = real(s, 0)
-    for j in range(n):
-        total += abs(x[j])
-        for k in range(j + 1):
-            total += abs(root[tri(j, k)])
-    if not math.isfinite(total):
-        return False
-    for j in range(n):
-        s[o + j] = x[j]
-        for k in range(j + 1):
-            s[o + root_at(n) + tri(j, k)] = root[tri(j, k)]
-    return True
+        increment = gain[j] * weight
+        add(w, c, m, j, increment if fuse else real(w, 0))

@@ -1,6 +1,9 @@
-"""What one sample does to one cell: hold the inputs, predict, innovate, gate, update. Returns `records.Fault` bits.
+"""What one sample does to the cells of a block: hold the inputs, predict, innovate, gate, update, commit.
 
 This is policy, and it is in the kernel so that the daemon, a replay, a microcontroller and an FMU share it bit for bit.
+Every phase is a loop over the lanes that writes only to the working copy `w`: so the loops become vector instructions,
+and nothing is half done when a result turns out not to be finite. What happens rarely (a first voltage, a wide belief,
+a belief to be forgotten) has loops of its own, with branches.
 """
 
 from __future__ import annotations
@@ -8,288 +11,208 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel.ecm import R0, clamp, dynamics, ocv, ohmic_drop
-from bms_ukf.kernel.layout import (
-    H_CURRENT,
-    H_CURRENT_AGE,
-    H_GAP_S,
-    H_HEARD_AGE,
-    H_INNOVATION,
-    H_INNOVATION_VAR,
-    H_REJECTED_S,
-    H_TEMPERATURE,
-    H_TEMPERATURE_AGE,
-    H_VOLTAGE_AGE,
-    H_VOLTAGE_PRED,
-    N_MAX,
-    N_RC,
-    P_CE_CHARGE,
-    P_CHARGE_COULOMB,
-    P_CURRENT_MAX,
-    P_CURRENT_MIN,
-    P_CURRENT_OFFSET,
-    P_CURRENT_RANGE,
-    P_CURRENT_TIMEOUT,
-    P_GAMMA,
-    P_GATE2,
-    P_INITIAL_CURRENT,
-    P_INITIAL_SIGMA,
-    P_INITIAL_SOC,
-    P_R0_REL,
-    P_RC_REL,
-    P_REJECT_S,
-    P_SOC_SIGMA_INVALID,
-    P_SOC_SIGMA_MAX,
-    P_SOC_WALK_GAIN,
-    P_SOC_WALK_OFFSET,
-    P_TABLE_TEMPERATURE_MAX,
-    P_TABLE_TEMPERATURE_MIN,
-    P_TEMPERATURE_MAX,
-    P_TEMPERATURE_MIN,
-    P_TEMPERATURE_TIMEOUT,
-    P_VAR_RC,
-    P_VAR_VOLTAGE,
-    P_VOLTAGE_MAX,
-    P_VOLTAGE_MIN,
-    P_VOLTAGE_TIMEOUT,
-    P_WIDE_SIGMA,
-    SOC,
-    V_RC1,
-    held_at,
-    root_at,
-    tri,
-)
-from bms_ukf.kernel.memory import inline, real, vector
-from bms_ukf.kernel.srukf import innovate, predict, update
-from bms_ukf.kernel.wide import update_wide
+from bms_ukf.kernel import belief, inputs, process, voltage
+from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.ecm import clamp, is_number
+from bms_ukf.kernel.jit import inline
+from bms_ukf.kernel.memory import real
 from bms_ukf.records import Fault, Status
 
-CURRENT_MISSING = int(Fault.CURRENT_MISSING)
-VOLTAGE_MISSING = int(Fault.VOLTAGE_MISSING)
-TEMPERATURE_MISSING = int(Fault.TEMPERATURE_MISSING)
-CURRENT_IMPLAUSIBLE = int(Fault.CURRENT_IMPLAUSIBLE)
-VOLTAGE_IMPLAUSIBLE = int(Fault.VOLTAGE_IMPLAUSIBLE)
-TEMPERATURE_IMPLAUSIBLE = int(Fault.TEMPERATURE_IMPLAUSIBLE)
-INNOVATION_REJECTED = int(Fault.INNOVATION_REJECTED)
-NUMERIC = int(Fault.NUMERIC)
-OUT_OF_TABLE = int(Fault.OUT_OF_TABLE)
+NUMERIC = float(Fault.NUMERIC)
+OUT_OF_TABLE = float(Fault.OUT_OF_TABLE)
 INITIALISING, OK, DEGRADED, INVALID = (int(status) for status in Status)
 STATUS_SHIFT = 16
 FAULT_MASK = (1 << STATUS_SHIFT) - 1
 
-# Below this a noise factor is not distinguishable from zero, and zero ends in 0/0 (`srukf.triangularise`). V, or SoC.
-TINY_ROOT = 1e-12
-VOLTAGE_ERROR_S = 1.0  # how long a fast voltage error lasts: the interval that [noise] of a cell file is derived at
 SOC_SLACK = 0.02  # how far SoC may wander beyond 0..1 before it is called out of the table
+SOC_BEYOND = 0.1  # and where it is stopped
 
 
 @inline
-def step_cell(p: Any, s: Any, o: int, n: int, dt: Any, i: Any, v: Any, T: Any) -> int:
-    """Advance the record at `o` by `dt` >= 0 s to a sample of current, voltage and temperature (NaN: not measured).
+def step(
+    p: Any, s: Any, o: int, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int, dt: Any, current: Any
+) -> int:
+    """Advance the block at `o` by `dt` >= 0 s to a sample of one current (A) and each lane's voltage and temperature.
 
-    Returns the fault bits, with the status (`records.Status`) in the bits from STATUS_SHIFT up.
+    `io[row * rows + first + lane]` holds what was measured (NaN: not) and receives the results. Returns the fault bits
+    of all lanes (`records.Fault`) and, from bit STATUS_SHIFT up, a bit for each status (`records.Status`) among them.
     """
-    h = o + held_at(n)
-    faults = hold_inputs(p, s, h, dt, i, v, T)
-    s[h + H_VOLTAGE_PRED] = s[h + H_INNOVATION] = s[h + H_INNOVATION_VAR] = real(s, math.nan)
-    if faults & VOLTAGE_IMPLAUSIBLE:
-        v = real(s, math.nan)
-    if math.isfinite(s[h + H_VOLTAGE_AGE]):
-        faults |= advance(p, s, o, n, dt)
-    else:
-        start(p, s, o, n, v)
-    if math.isfinite(s[h + H_VOLTAGE_AGE]) and math.isfinite(v) and not faults & NUMERIC:
-        faults |= fuse(p, s, o, n, v)
-    faults |= missing(p, s, o, n)
-    return faults | (status(p, s, o, n, faults) << STATUS_SHIFT)
+    load(s, o, w, y, m, lanes)
+    inputs.take(p, w, y, io, first, rows, m, lanes, dt, current)
+    gaps = inputs.share(p, w, y, m, lanes, dt)
+    process.schedule(p, s, o, w, y, m, lanes)
+    process.ohmic(p, w, y, m, lanes)
+    if dt > real(p, 0):  # another measurement of the same instant moves nothing
+        process.relax(p, w, y, m, lanes, dt, gaps)
+        process.advance(p, w, y, m, lanes, dt)
+    belief.start(p, w, y, m, lanes)
+    voltage.look_up(p, w, y, m, lanes)
+    special = voltage.compare(p, w, y, m, lanes)
+    voltage.fuse(p, w, y, m, lanes)
+    if special:
+        voltage.fuse_wide(p, w, y, m, lanes)
+        belief.forget(p, w, y, m, lanes)
+    inputs.missing(p, w, y, m, lanes)
+    refuse(s, o, w, y, m, lanes)
+    judge(p, w, y, m, lanes)
+    publish(w, y, io, first, rows, m, lanes)
+    return commit(s, o, w, y, m, lanes)
 
 
 @inline
-def hold_inputs(p: Any, s: Any, h: int, dt: Any, i: Any, v: Any, T: Any) -> int:
-    """Age what is held, then take what was measured and is plausible."""
-    faults = 0
-    s[h + H_CURRENT_AGE] += dt
-    s[h + H_TEMPERATURE_AGE] += dt
-    s[h + H_VOLTAGE_AGE] += dt
-    s[h + H_REJECTED_S] += dt
-    s[h + H_HEARD_AGE] += dt
-    if p[P_CURRENT_MIN] <= i <= p[P_CURRENT_MAX]:
-        s[h + H_CURRENT] = i
-        s[h + H_CURRENT_AGE] = real(s, 0)
-    elif not math.isnan(i):
-        faults |= CURRENT_IMPLAUSIBLE
-    if p[P_TEMPERATURE_MIN] <= T <= p[P_TEMPERATURE_MAX]:
-        s[h + H_TEMPERATURE] = T
-        s[h + H_TEMPERATURE_AGE] = real(s, 0)
-    elif not math.isnan(T):
-        faults |= TEMPERATURE_IMPLAUSIBLE
-    if p[P_VOLTAGE_MIN] <= v <= p[P_VOLTAGE_MAX]:
-        if s[h + H_HEARD_AGE] > p[P_VOLTAGE_TIMEOUT]:
-            s[h + H_REJECTED_S] = real(s, math.nan)
-        s[h + H_HEARD_AGE] = real(s, 0)
-    elif not math.isnan(v):
-        faults |= VOLTAGE_IMPLAUSIBLE
-    return faults
+def predict(p: Any, s: Any, w: Any, y: Any, m: Any, dt: Any, current: Any, temperature: Any) -> int:
+    """The time update alone, of one record: dt > 0 s under `current`, A, at `temperature`, degC. Returns fault bits."""
+    load(s, 0, w, y, m, 1)
+    w[k.H_CURRENT], w[k.H_TEMPERATURE] = current, temperature
+    w[k.H_CURRENT_AGE] = w[k.H_TEMPERATURE_AGE] = w[k.H_GAP_S] = y[k.Y_GAP] = y[k.Y_CODE] = real(p, 0)
+    w[k.H_VOLTAGE_AGE] += dt
+    y[k.Y_KNOWN] = dt
+    process.schedule(p, s, 0, w, y, m, 1)
+    process.ohmic(p, w, y, m, 1)
+    process.relax(p, w, y, m, 1, dt, 0)
+    process.advance(p, w, y, m, 1, dt)
+    y[k.Y_INNOVATION] = real(p, math.nan)  # that of another belief
+    return settle(p, s, w, y, m)
 
 
 @inline
-def start(p: Any, s: Any, o: int, n: int, v: Any) -> None:
-    """Set the belief before the first voltage is fused, once current, temperature and voltage are known."""
-    h = o + held_at(n)
-    i = s[h + H_CURRENT]
-    T = s[h + H_TEMPERATURE]
-    if math.isfinite(v) and math.isfinite(i) and math.isfinite(T):
-        # The load may have begun just now or long ago: the RC voltages are between nothing and r i.
-        half = i / real(s, 2)
-        for j in range(N_RC):
-            s[o + V_RC1 + j] = dynamics(p, p[P_INITIAL_SOC], T, 1 + 2 * j) * half
-        before = math.sqrt(p[P_INITIAL_CURRENT] * p[P_INITIAL_CURRENT] + half * half)
-        believe(p, s, o, n, p[P_INITIAL_SOC], p[P_INITIAL_SIGMA], before)
-        s[h + H_VOLTAGE_AGE] = real(s, VOLTAGE_ERROR_S)  # no voltage was fused lately
+def innovate(p: Any, s: Any, w: Any, y: Any, m: Any, z: Any) -> int:
+    """Compare the voltage `z`, V, with what the belief that `predict` left makes expect. Returns fault bits."""
+    load(s, 0, w, y, m, 1)
+    y[k.Y_VOLTAGE] = z
+    y[k.Y_CODE] = real(p, 0)
+    voltage.look_up(p, w, y, m, 1)
+    voltage.compare(p, w, y, m, 1)
+    rejected = y[k.Y_CODE] == real(p, voltage.INNOVATION_REJECTED)
+    compared = is_number(y[k.Y_CODE]) & is_number(y[k.Y_INNOVATION])
+    return (int(voltage.INNOVATION_REJECTED) if rejected else 0) if compared else int(NUMERIC)
 
 
 @inline
-def believe(p: Any, s: Any, o: int, n: int, soc: Any, sigma: Any, before: Any) -> None:
-    """Set SoC and its sigma; the RC voltages stay, as wide as an unknown current of sigma `before` has left them."""
-    h = o + held_at(n)
-    for k in range(n):
-        for j in range(k + 1):
-            s[o + root_at(n) + tri(k, j)] = real(s, 0)
-    s[o + SOC] = soc
-    s[o + root_at(n) + tri(SOC, SOC)] = sigma
-    for j in range(N_RC):
-        drop = dynamics(p, soc, s[h + H_TEMPERATURE], 1 + 2 * j) * before
-        s[o + root_at(n) + tri(V_RC1 + j, V_RC1 + j)] = math.sqrt(p[P_VAR_RC + j] + drop * drop)
+def update(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
+    """Fuse the voltage that `innovate` compared, whatever the gate said of it. Returns fault bits."""
+    load(s, 0, w, y, m, 1)
+    wide = w[m.root] > p[k.P_WIDE_SIGMA]
+    y[k.Y_FUSE] = real(p, 2) if wide else real(p, 1)
+    y[k.Y_CODE] = real(p, 0) if is_number(y[k.Y_INNOVATION]) else real(p, math.nan)
+    voltage.fuse(p, w, y, m, 1)
+    voltage.fuse_wide(p, w, y, m, 1)
+    y[k.Y_INNOVATION] = real(p, math.nan)  # fused once
+    return settle(p, s, w, y, m)
 
 
 @inline
-def advance(p: Any, s: Any, o: int, n: int, dt: Any) -> int:
-    """Predict over dt under the held current; past its timeout no charge is invented, and SoC is doubted instead."""
-    h = o + held_at(n)
-    fresh = s[h + H_CURRENT_AGE] <= real(s, 0)
-    if dt <= real(s, 0):  # another measurement of the same instant: it may end a gap, but moves nothing
-        if fresh:
-            s[h + H_GAP_S] = real(s, 0)
-        return 0
-    span = dt if fresh else s[h + H_CURRENT_AGE]
-    gap = clamp(span - p[P_CURRENT_TIMEOUT], real(s, 0), dt)
-    known = dt - gap
-    gap_before = s[h + H_GAP_S]
-    gap_after = gap_before + gap
-    s[h + H_GAP_S] = real(s, 0) if fresh else gap_after
-
-    i = s[h + H_CURRENT]
-    T = s[h + H_TEMPERATURE]
-    soc = s[o + SOC]
-    a = vector(s, N_MAX)
-    c = vector(s, N_MAX)
-    q = vector(s, N_MAX)
-    tiny = real(s, TINY_ROOT)
-
-    ce = p[P_CE_CHARGE] if i < real(s, 0) else real(s, 1)
-    doubted = p[P_CURRENT_RANGE] / p[P_CHARGE_COULOMB]
-    # The current of a gap is one unknown number, not noise: its sigma grows with time, its variance with time squared.
-    var_soc = dt * (p[P_SOC_WALK_OFFSET] + p[P_SOC_WALK_GAIN] * i * i)
-    var_soc += doubted * doubted * (gap_after * gap_after - gap_before * gap_before)
-    a[SOC] = real(s, 1)
-    c[SOC] = -ce * i * known / p[P_CHARGE_COULOMB]
-    q[SOC] = math.sqrt(var_soc) + tiny
-    r0 = dynamics(p, soc, T, R0)
-    for j in range(N_RC):
-        r = dynamics(p, soc, T, 1 + 2 * j)
-        tau = dynamics(p, soc, T, 2 + 2 * j)
-        # expm1, as 1 - exp would leave a float32 nothing of a short step.
-        rise = -math.expm1(-known / tau)
-        fade = math.exp(-gap / tau) if gap > real(s, 0) else real(s, 1)
-        decay = (real(s, 1) - rise) * fade
-        a[V_RC1 + j] = decay
-        # What is known of the current is the end of the step if it was just measured, else its beginning.
-        c[V_RC1 + j] = r * i * (rise if fresh else rise * fade)
-        # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate. An offset
-        # of the current shifts every drop for good; the slowest process carries that of r0 too.
-        error = p[P_RC_REL] * r * i
-        shift = p[P_CURRENT_OFFSET] * (r + r0 if j == N_RC - 1 else r)
-        variance = p[P_VAR_RC + j] + error * error + shift * shift
-        if gap > real(s, 0):
-            variance += r * r * p[P_CURRENT_RANGE] * p[P_CURRENT_RANGE]
-        q[V_RC1 + j] = math.sqrt((real(s, 1) - decay * decay) * variance) + tiny
-    if not predict(s, o, n, a, c, q):
-        return NUMERIC
-    sigma = o + root_at(n) + tri(SOC, SOC)
-    s[sigma] = min(s[sigma], p[P_SOC_SIGMA_MAX])
-    return CURRENT_MISSING if gap > real(s, 0) else 0
+def settle(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
+    """Commit one record, or leave it as it was; returns its fault bits."""
+    refuse(s, 0, w, y, m, 1)
+    judge(p, w, y, m, 1)
+    return commit(s, 0, w, y, m, 1) & FAULT_MASK
 
 
 @inline
-def fuse(p: Any, s: Any, o: int, n: int, v: Any) -> int:
-    """Compare the voltage with its prediction and, unless the gate refuses it, update the belief."""
-    h = o + held_at(n)
-    i = s[h + H_CURRENT]
-    T = s[h + H_TEMPERATURE]
-    soc = s[o + SOC]
-    spread = p[P_GAMMA] * s[o + root_at(n) + tri(SOC, SOC)]
-    drop = ohmic_drop(p, soc, T, i)
-    drop_error = p[P_R0_REL] * drop
-    if s[h + H_CURRENT_AGE] > p[P_CURRENT_TIMEOUT]:
-        drop, drop_error = real(s, 0), ohmic_drop(p, soc, T, p[P_CURRENT_RANGE])
-    # Neither sensor nor model errors are new every millisecond: readings that crowd are each worth less.
-    crowd = real(s, VOLTAGE_ERROR_S) / clamp(s[h + H_VOLTAGE_AGE], real(s, TINY_ROOT), real(s, VOLTAGE_ERROR_S))
-    r = crowd * (p[P_VAR_VOLTAGE] + drop_error * drop_error)
-    if not innovate(p, s, o, n, v, drop, ocv(p, soc, T), ocv(p, soc + spread, T), ocv(p, soc - spread, T), r):
-        return NUMERIC
-    excess = s[h + H_INNOVATION] * s[h + H_INNOVATION] / p[P_GATE2] - s[h + H_INNOVATION_VAR]
-    if excess > real(s, 0):
-        return reject(p, s, o, n)
-    wide = s[o + root_at(n)] > p[P_WIDE_SIGMA]
-    if not (update_wide(p, s, o, n, v + drop, T, r) if wide else update(s, o, n)):
-        return NUMERIC
-    s[h + H_VOLTAGE_AGE] = real(s, 0)
-    s[h + H_REJECTED_S] = real(s, math.nan)
-    return 0
+def load(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Copy the block's records, and see which lanes have a belief: one that is not finite is none."""
+    W = m.lanes
+    for k_ in range(W * m.cache):
+        w[k_] = s[o + k_]
+    for c in range(lanes):
+        y[W * k.Y_ALIVE + c] = real(w, 1) if _finite(w, y, m, c) else real(w, 0)
 
 
 @inline
-def reject(p: Any, s: Any, o: int, n: int) -> int:
-    """Refuse a voltage; after P_REJECT_S of nothing else it is the SoC believed that is wrong, and is forgotten.
-
-    The RC voltages are not: they follow from the current, and under load a SoC found without them would be far off.
-    """
-    h = o + held_at(n)
-    if not math.isfinite(s[h + H_REJECTED_S]):
-        s[h + H_REJECTED_S] = real(s, 0)
-    if s[h + H_REJECTED_S] >= p[P_REJECT_S]:
-        believe(p, s, o, n, real(s, 0.5), p[P_SOC_SIGMA_MAX], p[P_INITIAL_CURRENT])
-        s[h + H_REJECTED_S] = real(s, math.nan)
-    return INNOVATION_REJECTED
+def _finite(w: Any, y: Any, m: Any, c: int) -> Any:
+    W = m.lanes
+    total = w[W * k.H_VOLTAGE_AGE + c]
+    for slot in range(m.x, m.carry):
+        total += abs(w[W * slot + c])
+    return total - total == real(w, 0)
 
 
 @inline
-def missing(p: Any, s: Any, o: int, n: int) -> int:
-    """Which inputs are older than their timeout, or were never seen, and whether the belief has left the tables."""
-    faults = 0
-    h = o + held_at(n)
-    if not s[h + H_CURRENT_AGE] <= p[P_CURRENT_TIMEOUT]:
-        faults |= CURRENT_MISSING
-    if not s[h + H_VOLTAGE_AGE] <= p[P_VOLTAGE_TIMEOUT]:
-        faults |= VOLTAGE_MISSING
-    if not s[h + H_TEMPERATURE_AGE] <= p[P_TEMPERATURE_TIMEOUT]:
-        faults |= TEMPERATURE_MISSING
-    if math.isfinite(s[h + H_VOLTAGE_AGE]) and not within_tables(p, s, o, n):
-        faults |= OUT_OF_TABLE
-    return faults
+def refuse(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Take back the whole step of a lane whose result is not finite: its record stays as it was."""
+    W = m.lanes
+    refused = 0
+    for c in range(lanes):
+        code = y[W * k.Y_CODE + c]
+        good = (_finite(w, y, m, c) | (y[W * k.Y_ALIVE + c] == real(w, 0))) & is_number(code)
+        y[W * k.Y_CODE + c] = code if good else real(w, NUMERIC)
+        refused |= 0 if good else 1
+    if refused:
+        for c in range(lanes):
+            if y[W * k.Y_CODE + c] == real(w, NUMERIC):
+                for slot in range(m.cache):
+                    w[W * slot + c] = s[o + W * slot + c]
+                y[W * k.Y_INNOVATION + c] = real(w, math.nan)
 
 
 @inline
-def within_tables(p: Any, s: Any, o: int, n: int) -> Any:
-    T = s[o + held_at(n) + H_TEMPERATURE]
-    slack = real(s, SOC_SLACK)
-    return p[P_TABLE_TEMPERATURE_MIN] <= T <= p[P_TABLE_TEMPERATURE_MAX] and -slack <= s[o + SOC] <= real(s, 1) + slack
+def judge(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Keep beliefs within their bounds and give each lane its status."""
+    W = m.lanes
+    zero, one = real(p, 0), real(p, 1)
+    slack, beyond = real(p, SOC_SLACK), real(p, SOC_BEYOND)
+    for c in range(lanes):
+        alive = y[W * k.Y_ALIVE + c] > zero
+        soc = w[W * (m.x + k.SOC) + c]
+        w[W * (m.x + k.SOC) + c] = clamp(soc, -beyond, one + beyond)
+        sigma = w[W * m.root + c]
+        w[W * m.root + c] = p[k.P_SOC_SIGMA_MIN] if sigma < p[k.P_SOC_SIGMA_MIN] else sigma
+        T = w[W * k.H_TEMPERATURE + c]
+        within = (p[k.P_TABLE_TEMPERATURE_MIN] <= T) & (p[k.P_TABLE_TEMPERATURE_MAX] >= T)
+        within = within & (-slack <= soc) & (soc <= one + slack)
+        code = y[W * k.Y_CODE + c]
+        code += real(p, OUT_OF_TABLE) if alive & (not within) & (code != real(p, NUMERIC)) else zero
+        status = real(p, OK << STATUS_SHIFT) if code == zero else real(p, DEGRADED << STATUS_SHIFT)
+        status = real(p, INVALID << STATUS_SHIFT) if sigma > p[k.P_SOC_SIGMA_INVALID] else status
+        status = status if alive else real(p, INITIALISING << STATUS_SHIFT)
+        y[W * k.Y_CODE + c] = code + status
 
 
 @inline
-def status(p: Any, s: Any, o: int, n: int, faults: int) -> int:
-    if not math.isfinite(s[o + held_at(n) + H_VOLTAGE_AGE]):
-        return INITIALISING
-    if s[o + root_at(n)] > p[P_SOC_SIGMA_INVALID]:
-        return INVALID
-    return DEGRADED if faults else OK
+def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) -> None:
+    """Write the lanes' results."""
+    W = m.lanes
+    zero, one, nan = real(w, 0), real(w, 1), real(w, math.nan)
+    for c in range(lanes):
+        innovation = y[W * k.Y_INNOVATION + c]
+        variance = y[W * k.Y_VARIANCE + c]
+        compared = is_number(innovation) & (y[W * k.Y_ALIVE + c] > zero)
+        out = first + c
+        io[rows * k.OUT_SOC + out] = clamp(w[W * (m.x + k.SOC) + c], zero, one)
+        io[rows * k.OUT_SOC_SIGMA + out] = w[W * m.root + c]
+        io[rows * k.OUT_VOLTAGE_PRED + out] = y[W * k.Y_PREDICTED + c] if compared else nan
+        io[rows * k.OUT_INNOVATION + out] = innovation if compared else nan
+        io[rows * k.OUT_INNOVATION_VAR + out] = variance if compared else nan
+        io[rows * k.OUT_NIS + out] = innovation * innovation / variance if compared else nan
+        io[rows * k.OUT_AGE + out] = w[W * k.H_VOLTAGE_AGE + c]
+        io[rows * k.OUT_BIAS + out] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
+        io[rows * k.OUT_CODE + out] = y[W * k.Y_CODE + c]
+
+
+@inline
+def commit(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> int:
+    """Make the working copy the block's records; returns the lanes' faults and status together."""
+    W = m.lanes
+    for k_ in range(W * m.cache):
+        s[o + k_] = w[k_]
+    faults, seen = 0, 0
+    for c in range(lanes):
+        code = int(y[W * k.Y_CODE + c])
+        faults |= code & FAULT_MASK
+        seen |= 1 << (code >> STATUS_SHIFT)
+    return faults | seen << STATUS_SHIFT
+
+
+@inline
+def together(codes: int) -> int:
+    """Faults and one status of all cells, from faults and the set of their statuses."""
+    seen = codes >> STATUS_SHIFT
+    status = OK
+    if seen & 1 << INITIALISING:
+        status = INITIALISING
+    elif seen & 1 << INVALID:
+        status = INVALID
+    elif seen & 1 << DEGRADED:
+        status = DEGRADED
+    return codes & FAULT_MASK | status << STATUS_SHIFT

@@ -5,7 +5,7 @@ update would land beside the truth and be sure of it. Given SoC, though, everyth
 posterior's mean and covariance follow from a quadrature over SoC alone (Rao-Blackwellised moment matching).
 
 With x = mean + sqrt_P xi and xi standard normal, SoC is mean + sqrt_P[0, 0] xi_0. For every xi_0:
-    residual    e(xi_0) = z - ocv(soc) + v_rc1 + v_rc2, these at their mean given SoC
+    residual    e(xi_0) = z - (predicted voltage at that SoC, the other states at their mean given SoC)
     weight      N(xi_0; 0, 1) N(e; 0, V),  V = r + sum of b_k^2, k >= 1
     the rest    xi_k | xi_0 ~ N(b_k e / V, I - b b^T / V),  k >= 1
 with b and r as `srukf.innovate` left them. The moments of xi under these weights give the new mean and, as the product
@@ -18,9 +18,21 @@ import math
 from typing import Any
 
 from bms_ukf.kernel.ecm import ocv
-from bms_ukf.kernel.layout import H_B, N_MAX, PACKED_MAX, SOC, V_RC1, held_at, root_at, tri
-from bms_ukf.kernel.memory import inline, real, vector
-from bms_ukf.kernel.srukf import commit
+from bms_ukf.kernel.jit import inline
+from bms_ukf.kernel.layout import (
+    DENSE_MAX,
+    N_MAX,
+    SOC,
+    V_RC1,
+    Y_B,
+    Y_DROP,
+    Y_DROP_SLOPE,
+    Y_NOISE,
+    Y_T,
+    Y_VOLTAGE,
+    tri,
+)
+from bms_ukf.kernel.memory import real, vector
 
 MOMENTS = 5  # see `moments`
 POINTS = 64  # a pass; the second pass spreads them over what the first has left
@@ -29,105 +41,118 @@ SOC_MIN, SOC_MAX = -0.02, 1.02  # no SoC lies outside: the tables' slack
 
 
 @inline
-def update_wide(p: Any, s: Any, o: int, n: int, z: Any, T: Any, r: Any) -> bool:
-    """As `srukf.update`, for the measurement `z` (V, without the ohmic drop) of variance `r` at temperature `T`."""
-    h = o + held_at(n)
-    sigma = s[o + root_at(n)]
-    variance = r
-    for k in range(V_RC1, n):
-        variance += s[h + H_B + k] * s[h + H_B + k]
-    first = (real(s, SOC_MIN) - s[o + SOC]) / sigma
-    last = (real(s, SOC_MAX) - s[o + SOC]) / sigma
-    reach = real(s, REACH)
+def update_wide(p: Any, w: Any, y: Any, m: Any, c: int) -> None:
+    """As `srukf.update`, for lane `c`."""
+    W = m.lanes
+    sigma = w[W * m.root + c]
+    soc = w[W * (m.x + SOC) + c]
+    variance = y[W * Y_NOISE + c]
+    for j in range(V_RC1, m.n):
+        variance += y[W * (Y_B + j) + c] * y[W * (Y_B + j) + c]
+    first = (real(w, SOC_MIN) - soc) / sigma
+    last = (real(w, SOC_MAX) - soc) / sigma
+    reach = real(w, REACH)
     # Of the tables, what the belief reaches; if it reaches nothing of them, the end that is nearest to it.
     low = max(first, min(-reach, last - reach))
     high = min(last, max(reach, first + reach))
-    m = vector(s, MOMENTS)
+    moments = vector(w, MOMENTS)
     for _ in range(2):
-        moments(p, s, o, n, z, T, variance, low, high, m)
-        reach = real(s, REACH) * math.sqrt(m[2]) + (high - low) / real(s, POINTS)
-        low = max(low, m[0] - reach)
-        high = min(high, m[0] + reach)
-    return _commit_moments(s, o, n, variance, m)
+        quadrature(p, w, y, m, c, variance, low, high, moments)
+        reach = real(w, REACH) * math.sqrt(moments[2]) + (high - low) / real(w, POINTS)
+        low = max(low, moments[0] - reach)
+        high = min(high, moments[0] + reach)
+    conclude(w, y, m, c, variance, moments)
 
 
 @inline
-def moments(p: Any, s: Any, o: int, n: int, z: Any, T: Any, variance: Any, low: Any, high: Any, m: Any) -> None:
+def quadrature(p: Any, w: Any, y: Any, m: Any, c: int, variance: Any, low: Any, high: Any, moments: Any) -> None:
     """Means and covariances of xi_0 and the residual e, by quadrature from `low` to `high`.
 
-    Writes m = [E xi_0, E e, var xi_0, cov(xi_0, e), var e].
+    Writes moments = [E xi_0, E e, var xi_0, cov(xi_0, e), var e].
     """
-    log_weight = vector(s, POINTS)
-    residual = vector(s, POINTS)
-    step = (high - low) / real(s, POINTS)
-    largest = real(s, -math.inf)
-    before = _residual(p, s, o, n, z, T, low)
-    for k in range(POINTS):
-        xi = low + (real(s, k) + real(s, 0.5)) * step
-        after = _residual(p, s, o, n, z, T, xi + real(s, 0.5) * step)
-        e = _residual(p, s, o, n, z, T, xi)
+    W = m.lanes
+    log_weight = vector(w, POINTS)
+    residual = vector(w, POINTS)
+    step = (high - low) / real(w, POINTS)
+    half = real(w, 0.5)
+    # All but the OCV is linear in xi_0.
+    T = y[W * Y_T + c]
+    rest = y[W * Y_VOLTAGE + c] + y[W * Y_DROP + c]
+    slope = y[W * Y_B + c] * real(w, 0)
+    for j in range(V_RC1, V_RC1 + m.n_v):
+        rest += w[W * (m.x + j) + c]
+        slope += w[W * (m.root + tri(j, SOC)) + c]
+    if m.bias:
+        rest -= y[W * Y_DROP_SLOPE + c] * w[W * (m.x + m.n - 1) + c]
+        slope -= y[W * Y_DROP_SLOPE + c] * w[W * (m.root + tri(m.n - 1, SOC)) + c]
+    soc = w[W * (m.x + SOC) + c]
+    sigma = w[W * m.root + c]
+    largest = real(w, -math.inf)
+    before = rest + slope * low - ocv(p, soc + sigma * low, T)
+    for point in range(POINTS):
+        xi = low + (real(w, point) + half) * step
+        end = xi + half * step
+        after = rest + slope * end - ocv(p, soc + sigma * end, T)
+        e = rest + slope * xi - ocv(p, soc + sigma * xi, T)
         # Where the grid is coarser than the likelihood is wide, the likelihood is widened to the grid.
         blur = after - before
-        spread = variance + blur * blur / real(s, 12)
-        log_weight[k] = real(s, -0.5) * (xi * xi + e * e / spread + math.log(spread))
-        residual[k] = e
-        largest = max(largest, log_weight[k])
+        spread = variance + blur * blur / real(w, 12)
+        log_weight[point] = -half * (xi * xi + e * e / spread + math.log(spread))
+        residual[point] = e
+        largest = max(largest, log_weight[point])
         before = after
-    total = real(s, 0)
+    total = real(w, 0)
     for j in range(MOMENTS):
-        m[j] = real(s, 0)
-    for k in range(POINTS):
-        weight = math.exp(log_weight[k] - largest)
-        log_weight[k] = weight
+        moments[j] = real(w, 0)
+    for point in range(POINTS):
+        weight = math.exp(log_weight[point] - largest)
+        log_weight[point] = weight
         total += weight
-        m[0] += weight * (low + (real(s, k) + real(s, 0.5)) * step)
-        m[1] += weight * residual[k]
-    m[0] /= total
-    m[1] /= total
-    for k in range(POINTS):
-        weight = log_weight[k] / total
-        d_xi = low + (real(s, k) + real(s, 0.5)) * step - m[0]
-        d_e = residual[k] - m[1]
-        m[2] += weight * d_xi * d_xi
-        m[3] += weight * d_xi * d_e
-        m[4] += weight * d_e * d_e
-    m[2] += step * step / real(s, 12)  # each point stands for an interval
+        moments[0] += weight * (low + (real(w, point) + half) * step)
+        moments[1] += weight * residual[point]
+    moments[0] /= total
+    moments[1] /= total
+    for point in range(POINTS):
+        weight = log_weight[point] / total
+        d_xi = low + (real(w, point) + half) * step - moments[0]
+        d_e = residual[point] - moments[1]
+        moments[2] += weight * d_xi * d_xi
+        moments[3] += weight * d_xi * d_e
+        moments[4] += weight * d_e * d_e
+    moments[2] += step * step / real(w, 12)  # each point stands for an interval
 
 
 @inline
-def _residual(p: Any, s: Any, o: int, n: int, z: Any, T: Any, xi: Any) -> Any:
-    e = z - ocv(p, s[o + SOC] + s[o + root_at(n)] * xi, T)
+def conclude(w: Any, y: Any, m: Any, c: int, variance: Any, moments: Any) -> None:
+    """Turn the moments of xi_0 and e into those of all xi, and these into x and sqrt_P."""
+    W = m.lanes
+    n = m.n
+    xi = vector(w, N_MAX)
+    cov = vector(w, DENSE_MAX)  # covariance of xi, then its Cholesky factor
+    root = vector(w, DENSE_MAX)
+    xi[SOC] = moments[0]
+    cov[0] = moments[2]
+    shrink = (moments[4] / variance - real(w, 1)) / variance
     for j in range(V_RC1, n):
-        e += s[o + j] + s[o + root_at(n) + tri(j, SOC)] * xi
-    return e
-
-
-@inline
-def _commit_moments(s: Any, o: int, n: int, variance: Any, m: Any) -> bool:
-    x = vector(s, N_MAX)
-    xi = vector(s, N_MAX)
-    c = vector(s, PACKED_MAX)  # covariance of xi, then its Cholesky factor
-    root = vector(s, PACKED_MAX)
-    b_at = o + held_at(n) + H_B
-    xi[SOC] = m[0]
-    c[0] = m[2]
-    for j in range(V_RC1, n):
-        xi[j] = s[b_at + j] * m[1] / variance
-        c[tri(j, SOC)] = s[b_at + j] * m[3] / variance
-        for k in range(V_RC1, j + 1):
-            shrink = (m[4] / variance - real(s, 1)) / variance
-            c[tri(j, k)] = s[b_at + j] * s[b_at + k] * shrink + (real(s, 1) if j == k else real(s, 0))
+        b = y[W * (Y_B + j) + c]
+        xi[j] = b * moments[1] / variance
+        cov[n * j] = b * moments[3] / variance
+        for i in range(V_RC1, j + 1):
+            cov[n * j + i] = b * y[W * (Y_B + i) + c] * shrink + (real(w, 1) if j == i else real(w, 0))
     for j in range(n):
-        for k in range(j + 1):
-            rest = c[tri(j, k)]
-            for between in range(k):
-                rest -= c[tri(j, between)] * c[tri(k, between)]
-            c[tri(j, k)] = math.sqrt(rest) if j == k else rest / c[tri(k, k)]
+        for i in range(j + 1):
+            rest = cov[n * j + i]
+            for between in range(i):
+                rest -= cov[n * j + between] * cov[n * i + between]
+            cov[n * j + i] = math.sqrt(rest) if j == i else rest / cov[n * i + i]
     for j in range(n):
-        x[j] = s[o + j]
-        for k in range(j + 1):
-            x[j] += s[o + root_at(n) + tri(j, k)] * xi[k]
-            root[tri(j, k)] = real(s, 0)
-            for between in range(k, j + 1):
-                root[tri(j, k)] += s[o + root_at(n) + tri(j, between)] * c[tri(between, k)]
-    return commit(s, o, n, x, root)
+        for i in range(j + 1):
+            root[n * j + i] = real(w, 0)
+            for between in range(i, j + 1):
+                root[n * j + i] += w[W * (m.root + tri(j, between)) + c] * cov[n * between + i]
+    for j in range(n):
+        for i in range(j + 1):
+            w[W * (m.x + j) + c] += w[W * (m.root + tri(j, i)) + c] * xi[i]
+    for j in range(n):
+        for i in range(j + 1):
+            w[W * (m.root + tri(j, i)) + c] = root[n * j + i]

@@ -58,28 +58,38 @@ class Ukf:
 
 @dataclass
 class Cell:
-    """The two-RC cell with the noise that a cell file and a tuning ask for, and the filter of its state."""
+    """The cell with the noise that a cell file and a tuning ask for, and the filter of its state."""
 
     params: CellParams
     tuning: Tuning
     ocv: Callable[[float, float], float]  # of SoC and temperature, V
-    dynamics: Callable[[float, float], tuple[float, ...]]  # of the same: r0, r1, tau1, r2, tau2, knee
+    dynamics: Callable[[float, float], dict[str, float]]  # of the same
     ukf: Ukf | None = None
     age: float = 1.0  # s since the last voltage; before the first, none was near
 
+    def __post_init__(self) -> None:
+        noise = self.params.noise
+        self.n_rc = self.params.dynamics.n_rc
+        self.sigmas = [getattr(noise, f"v_rc{j}_sigma_V") for j in range(1, self.n_rc + 1)]
+        self.offset = self.params.cell.capacity_Ah / 100
+
     def start(self, i: float, temperature: float) -> None:
         """At `tuning.initial_soc`; current i, and C/5 more or less of it, may have flowed for long or not at all."""
-        soc, tuning, noise = self.tuning.initial_soc, self.tuning, self.params.noise
-        assert soc is not None
-        _, r1, _, r2, _, _ = self.dynamics(soc, temperature)
+        soc, tuning = self.tuning.initial_soc, self.tuning
+        at = self.dynamics(soc, temperature)
         before = math.hypot(self.params.cell.capacity_Ah / 5, i / 2)
-        variances = [
-            tuning.initial_soc_sigma**2,
-            noise.v_rc1_sigma_V**2 + (r1 * before) ** 2,
-            noise.v_rc2_sigma_V**2 + (r2 * before) ** 2,
-        ]
-        x = np.array([soc, r1 * i / 2, r2 * i / 2])
-        self.ukf = Ukf(x, np.diag(variances), tuning.alpha, tuning.beta, tuning.kappa)
+        x, variances = [soc], [tuning.initial_soc_sigma**2]
+        for j, sigma in enumerate(self.sigmas, 1):
+            r = at[f"r{j}_ohm"]
+            x.append(r * i / 2)
+            variances.append(sigma**2 + (r * before) ** 2)
+        if self.params.hysteresis:
+            x.append(0.0)
+            variances.append(self.params.noise.hysteresis_sigma_V**2 + at["hysteresis_V"] ** 2 / 3)
+        if tuning.current_bias:
+            x.append(0.0)
+            variances.append(self.offset**2)
+        self.ukf = Ukf(np.array(x), np.diag(variances), tuning.alpha, tuning.beta, tuning.kappa)
 
     def predict(self, dt: float, i: float, temperature: float) -> None:
         assert self.ukf is not None
@@ -87,34 +97,50 @@ class Cell:
         noise, tuning = self.params.noise, self.tuning
         charge = 3600 * self.params.cell.capacity_Ah
         efficiency = self.params.cell.coulombic_efficiency if i < 0 else 1.0
-        r0, r1, tau1, r2, tau2, _ = self.dynamics(float(self.ukf.x[0]), temperature)  # scheduled at the mean
-        a1, a2 = math.exp(-dt / tau1), math.exp(-dt / tau2)
-        offset = self.params.cell.capacity_Ah / 100
-        walk = (offset**2 + (tuning.current_gain_sigma * i) ** 2) * tuning.current_error_horizon_s / charge**2
+        mean_i = i - self.ukf.x[-1] if tuning.current_bias else i
+        at = self.dynamics(float(self.ukf.x[0] - efficiency * mean_i * dt / charge), temperature)  # at the mean to come
+        decays = [math.exp(-dt / at[f"tau{j}_s"]) for j in range(1, self.n_rc + 1)]
+        resistances = [at[f"r{j}_ohm"] for j in range(1, self.n_rc + 1)]
+        n_rc, hysteresis, horizon = self.n_rc, self.params.hysteresis, tuning.current_error_horizon_s
+        offset = 0.0 if tuning.current_bias else self.offset
 
         def f(x: Array) -> Array:
-            soc, v1, v2 = x
-            return np.array(
-                [soc - efficiency * i * dt / charge, a1 * v1 + (1 - a1) * r1 * i, a2 * v2 + (1 - a2) * r2 * i]
-            )
+            true_i = i - x[-1] if tuning.current_bias else i
+            after = [x[0] - efficiency * true_i * dt / charge]
+            after += [a * v + (1 - a) * r * true_i for a, v, r in zip(decays, x[1:], resistances, strict=False)]
+            if hysteresis:
+                a = math.exp(-hysteresis.rate * abs(i) * dt / charge)
+                after.append(a * x[1 + n_rc] + (1 - a) * math.copysign(at["hysteresis_V"], i))
+            if tuning.current_bias:
+                after.append(math.exp(-dt / horizon) * x[-1])
+            return np.array(after)
 
-        variance1 = noise.v_rc1_sigma_V**2 + (noise.rc_rel_sigma * r1 * i) ** 2 + (offset * r1) ** 2
-        variance2 = noise.v_rc2_sigma_V**2 + (noise.rc_rel_sigma * r2 * i) ** 2 + (offset * (r2 + r0)) ** 2
-        q1, q2 = (1 - a1**2) * variance1, (1 - a2**2) * variance2
-        self.ukf.predict(f, np.diag([walk * dt, q1, q2]))
+        q = [(offset**2 + (tuning.current_gain_sigma * i) ** 2) * horizon / charge**2 * dt]
+        for j, (a, r, sigma) in enumerate(zip(decays, resistances, self.sigmas, strict=True), 1):
+            shifted = r + at["r0_ohm"] if j == n_rc else r
+            variance = sigma**2 + (noise.rc_rel_sigma * r * i) ** 2 + (offset * shifted) ** 2
+            q.append((1 - a**2) * variance)
+        if hysteresis:
+            q.append(-math.expm1(-2 * hysteresis.rate * abs(i) * dt / charge) * noise.hysteresis_sigma_V**2)
+        if tuning.current_bias:
+            q.append(-math.expm1(-2 * dt / horizon) * self.offset**2)
+        self.ukf.predict(f, np.diag(q))
 
     def update(self, voltage: float, i: float, temperature: float) -> None:
         assert self.ukf is not None
         noise = self.params.noise
-        r0, *_, knee = self.dynamics(float(self.ukf.x[0]), temperature)
-        drop = r0 * knee * math.asinh(i / knee)
+        at = self.dynamics(float(self.ukf.x[0]), temperature)
+        # The bias moves the drop by little: straight in it.
+        r0, knee = at["r0_ohm"] if i >= 0 else at["r0_charge_ohm"], at["r0_knee_A"]
+        drop, slope = r0 * knee * math.asinh(i / knee), r0 / math.hypot(1, i / knee)
         variance = noise.voltage_sigma_V**2 + self.tuning.voltage_sensor_sigma_V**2
         variance += (noise.r0_rel_sigma * drop) ** 2
         variance /= min(self.age, 1.0)  # voltages that come faster than one a second count for less
         self.age = 0.0
+        bias = self.tuning.current_bias
 
         def h(x: Array) -> float:
-            soc, v1, v2 = x
-            return self.ocv(soc, temperature) - v1 - v2 - drop
+            voltages, seen = (x[1:-1], drop - slope * x[-1]) if bias else (x[1:], drop)
+            return self.ocv(x[0], temperature) - float(voltages.sum()) - seen
 
         self.ukf.update(h, voltage, variance)

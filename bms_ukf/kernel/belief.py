@@ -1,0 +1,83 @@
+"""Beliefs that do not come from a filter step: the first one, and the one after a SoC that was believed in vain."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.ecm import dynamics
+from bms_ukf.kernel.jit import inline
+from bms_ukf.kernel.layout import tri
+from bms_ukf.kernel.memory import real
+
+VOLTAGE_ERROR_S = 1.0  # how long a fast voltage error lasts: the interval that [noise] of a cell file is derived at
+
+
+@inline
+def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Give a lane without a belief its first one, as soon as a current, a temperature and a voltage are known."""
+    W = m.lanes
+    for c in range(lanes):
+        known = y[W * k.Y_VOLTAGE + c] + w[W * k.H_CURRENT + c] + w[W * k.H_TEMPERATURE + c]
+        if y[W * k.Y_ALIVE + c] == real(w, 0) and math.isfinite(known):
+            # The load may have begun just now or long ago: the RC voltages are between nothing and r i.
+            half = w[W * k.H_CURRENT + c] / real(w, 2)
+            soc = p[k.P_INITIAL_SOC]
+            for j in range(m.n_rc):
+                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, w, y, m, c, soc, j) * half
+            if m.hysteresis:
+                w[W * (m.x + k.V_RC1 + m.n_rc) + c] = real(w, 0)
+            if m.bias:
+                w[W * (m.x + m.n - 1) + c] = real(w, 0)
+            before = math.sqrt(p[k.P_INITIAL_CURRENT] * p[k.P_INITIAL_CURRENT] + half * half)
+            believe(p, w, y, m, c, soc, p[k.P_INITIAL_SIGMA], before)
+            w[W * k.H_GAP_S + c] = real(w, 0)
+            w[W * k.H_CORE_RISE + c] = real(w, 0)
+            w[W * k.H_VOLTAGE_AGE + c] = real(w, VOLTAGE_ERROR_S)  # no voltage was fused lately
+            y[W * k.Y_ALIVE + c] = real(w, 1)
+
+
+@inline
+def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before: Any) -> None:
+    """Set SoC and its sigma; the other states stay, as wide as an unknown current of sigma `before` has left them."""
+    W = m.lanes
+    for row in range(m.n):
+        for column in range(row + 1):
+            w[W * (m.root + tri(row, column)) + c] = real(w, 0)
+    if m.compensated:
+        for slot in range(m.carry, m.cache):
+            w[W * slot + c] = real(w, 0)
+    w[W * (m.x + k.SOC) + c] = soc
+    w[W * m.root + c] = sigma
+    for j in range(m.n_rc):
+        row = k.V_RC1 + j
+        drop = resistance(p, w, y, m, c, soc, j) * before
+        w[W * (m.root + tri(row, row)) + c] = math.sqrt(p[k.P_VAR_V + j] + drop * drop)
+    if m.hysteresis:
+        row = k.V_RC1 + m.n_rc
+        largest = dynamics(p, soc, y[W * k.Y_T + c], k.D_RC1 + 2 * m.n_rc, m.channels)
+        # Anywhere between the branches: a uniform distribution.
+        w[W * (m.root + tri(row, row)) + c] = math.sqrt(p[k.P_VAR_V + m.n_rc] + largest * largest / real(w, 3))
+    if m.bias:
+        w[W * (m.root + tri(m.n - 1, m.n - 1)) + c] = p[k.P_BIAS_SIGMA]
+
+
+@inline
+def resistance(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, j: int) -> Any:
+    """r of an RC pair at any SoC, ohm."""
+    W = m.lanes
+    return dynamics(p, soc, y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)
+
+
+@inline
+def forget(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Where voltages have been refused for P_REJECT_S it is the SoC believed that is wrong: any SoC is possible again.
+
+    The RC voltages are not: they follow from the current, and under load a SoC found without them would be far off.
+    """
+    W = m.lanes
+    for c in range(lanes):
+        if y[W * k.Y_ALIVE + c] > real(w, 0) and w[W * k.H_REJECTED_S + c] >= p[k.P_REJECT_S]:
+            believe(p, w, y, m, c, real(w, 0.5), p[k.P_SOC_SIGMA_MAX], p[k.P_INITIAL_CURRENT])
+            w[W * k.H_REJECTED_S + c] = real(w, math.nan)

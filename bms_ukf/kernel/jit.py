@@ -1,0 +1,126 @@
+"""How the kernel becomes machine code: functions that are inlined, and entries that Python calls.
+
+numba optimises every function on its own before it is inlined, when loop bounds are still arguments: loops over a few
+states get run-time checks that no later pass removes, and nothing is vectorised. Here a function to be inlined is only
+tidied, and all else is left to the entry, where its bounds are constants: loops over states vanish, their vectors
+become registers, and loops over lanes become vector instructions (`tests/test_kernel_code.py` looks). It also spares
+most of the compile time.
+
+With `NUMBA_DISABLE_JIT=1` the same source runs as plain Python.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba import config
+from numba.core import event
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
+from numba.core.typed_passes import NativeLowering
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_register_pass: Any = register_pass
+_CONFIG: Any = config  # its names are set from the environment: invisible to type checkers
+DISABLED = bool(getattr(config, "DISABLE_JIT", 0))
+
+# "contract" allows fused multiply-add only: anything looser would let LLVM drop the checks for NaN and infinity.
+# The "numpy" error model makes x/0 infinite; Python's would branch to an exception and stop vectorisation.
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+
+
+@_register_pass(mutates_CFG=True, analysis_only=False)
+class _Tidy(NativeLowering):
+    """Lowers a function to be inlined: no optimiser, no machine code, no wrapper; loops in the form LLVM expects."""
+
+    _name = "bms_ukf_tidy"
+
+    def run_pass(self, state: Any) -> bool:
+        state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
+        level, _CONFIG.OPT = _CONFIG.OPT, type(_CONFIG.OPT)(0)
+        try:
+            lower: Any = super().run_pass
+            changed = bool(lower(state))
+            state.library.finalize()
+            passes, builder = state.targetctx.codegen()._module_pass_manager()
+        finally:
+            _CONFIG.OPT = level
+        passes.add_sroa_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_instruction_combine_pass()
+        passes.add_jump_threading_pass()
+        passes.add_simplify_cfg_pass()
+        passes.add_loop_rotate_pass()
+        passes.add_instruction_combine_pass()
+        passes.add_simplify_cfg_pass()
+        passes.run(state.library._final_module, builder)
+        # The name that callers' code finds it under; any built-in function that no other function has will do.
+        name: Any = object().__reduce__
+        state.cr = state.cr._replace(cfunc=name)
+        state.targetctx.insert_user_function(name, state.cr.fndesc, [state.library])
+        return changed
+
+
+class _Inlined(CompilerBase):
+    def define_pipelines(self) -> list[Any]:
+        builder: Any = DefaultPassBuilder
+        passes = builder.define_nopython_pipeline(self.state)
+        passes.passes = [(_Tidy if step is NativeLowering else step, why) for step, why in passes.passes]
+        passes.finalize()
+        return [passes]
+
+
+def inline(function: F) -> F:
+    """A kernel function that exists only inside its callers."""
+    compiled: F = numba.njit(forceinline=True, pipeline_class=_Inlined, **OPTIONS)(function)
+    return compiled
+
+
+def entry(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
+    """Compile a kernel function that is called from outside; cached on disk. Its closure may hold integers only.
+
+    What it returns is numba's wrapper of the compiled code itself, without the dispatcher's look-up of argument types:
+    half the cost of a call. It converts any number to the type of the signature.
+    """
+    compiled: Any = numba.njit(cache=True, **OPTIONS)(function)
+    if DISABLED:
+        return function
+    # numba stamps a cached function with the size and time of its own file only, and wheels carry a fixed time: without
+    # this a new version of an inlined function would never be compiled.
+    compiled._cache._cache_file._source_stamp = source_stamp()
+    with event.install_listener("numba:compile", _Announcement()):
+        call: Callable[..., Any] = compiled.compile(signature)
+    DISPATCHERS.append(compiled)
+    return call
+
+
+DISPATCHERS: list[Any] = []  # a dispatcher owns the machine code that its wrapper jumps to
+
+
+class _Announcement(event.Listener):
+    """Compiling takes seconds; loading from the cache, which comes without this event, milliseconds."""
+
+    def on_start(self, event: Any) -> None:
+        _announce()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@functools.cache
+def _announce() -> None:
+    sys.stderr.write("bms-ukf: compiling the filter for this machine, once\n")
+
+
+@functools.cache
+def source_stamp() -> str:
+    """Of all that is compiled."""
+    sources = [*sorted(Path(__file__).parent.glob("*.py")), Path(__file__).parent.parent / "records.py"]
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()

@@ -1,0 +1,219 @@
+"""From the last sample to this one: read the tables at the SoC to come, let voltages relax, predict the belief."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.ecm import FALL_SMALL, asinh, cache_dynamics, clamp, fall, fall_small, is_number
+from bms_ukf.kernel.inputs import UNKNOWN_TEMPERATURE
+from bms_ukf.kernel.jit import inline
+from bms_ukf.kernel.layout import N_MAX
+from bms_ukf.kernel.memory import real, vector
+from bms_ukf.kernel.srukf import predict
+
+# Below this a noise factor is not distinguishable from zero, and zero ends in 0/0 (`srukf.triangularise`). V, SoC or A.
+TINY_ROOT = 1e-12
+
+
+@inline
+def soc_per_ampere(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
+    """SoC per ampere of the known current in this step, 1/A."""
+    W = m.lanes
+    ce = p[k.P_CE_CHARGE] if w[W * k.H_CURRENT + c] < real(p, 0) else real(p, 1)
+    return ce * y[W * k.Y_KNOWN + c] / p[k.P_CHARGE_COULOMB]
+
+
+@inline
+def charge(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
+    """SoC that the known current takes off the cell in this step."""
+    return w[m.lanes * k.H_CURRENT + c] * soc_per_ampere(p, w, y, m, c)
+
+
+@inline
+def schedule(p: Any, s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Read every parameter at the mean SoC to come: from the record's cache while SoC and temperature stay near it."""
+    W = m.lanes
+    zero, one = real(p, 0), real(p, 1)
+    intervals = p[k.P_DYN + k.T_INTERVALS]
+    stale = 0
+    for c in range(lanes):
+        alive = y[W * k.Y_ALIVE + c] > zero
+        soc = w[W * (m.x + k.SOC) + c] - charge(p, w, y, m, c)
+        if m.bias:
+            soc += soc_per_ampere(p, w, y, m, c) * w[W * (m.x + m.n - 1) + c]
+        T = w[W * k.H_TEMPERATURE + c]
+        if m.core:
+            rise = w[W * k.H_CORE_RISE + c]
+            T += rise if alive else zero
+        sound = (soc - soc == zero) | (not alive)  # else the step will be refused: no index must come of it
+        soc = soc if alive & sound else p[k.P_INITIAL_SOC]
+        T = T if is_number(T) else real(p, UNKNOWN_TEMPERATURE)
+        y[W * k.Y_SOC + c] = soc
+        y[W * k.Y_T + c] = T
+        d = clamp(soc * intervals, zero, intervals) - s[o + W * (m.cache + k.C_KNOT) + c]
+        away = abs(T - s[o + W * (m.cache + k.C_TEMPERATURE) + c])
+        serves = (d >= zero) & (d <= one) & (away <= p[k.P_CACHE_TEMPERATURE])
+        y[W * k.Y_STALE + c] = zero if serves | (not sound) else one
+        stale |= 0 if serves | (not sound) else 1
+    if stale:
+        for c in range(lanes):
+            if y[W * k.Y_STALE + c] > zero:
+                cache_dynamics(p, s, o + c, m, y[W * k.Y_SOC + c], y[W * k.Y_T + c])
+    for c in range(lanes):
+        d = clamp(y[W * k.Y_SOC + c] * intervals, zero, intervals) - s[o + W * (m.cache + k.C_KNOT) + c]
+        for channel in range(m.channels):
+            value = s[o + W * (m.cache + k.C_VALUES + 2 * channel) + c]
+            rise = s[o + W * (m.cache + k.C_VALUES + 2 * channel + 1) + c]
+            y[W * (k.Y_DYN + channel) + c] = value + d * rise
+
+
+@inline
+def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> None:
+    """What each voltage, and the core's temperature, lose of their distance to where they go: 1 - exp(-time / tau)."""
+    W = m.lanes
+    for c in range(lanes):
+        known = y[W * k.Y_KNOWN + c]
+        for j in range(m.n_rc):
+            y[W * (k.Y_FALL + j) + c] = known / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
+        if m.hysteresis:
+            y[W * (k.Y_FALL + m.n_rc) + c] = p[k.P_HYSTERESIS_RATE] * abs(w[W * k.H_CURRENT + c]) * known
+        if m.core:
+            y[W * (k.Y_FALL + m.n_v) + c] = dt / p[k.P_CORE_TAU]
+    one_minus_exp(w, y, m, k.Y_FALL, m.n_v + m.core, lanes)
+    for c in range(lanes):
+        gap = y[W * k.Y_GAP + c]
+        for j in range(m.n_rc):
+            y[W * (k.Y_FADE + j) + c] = gap / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
+    if gaps:
+        one_minus_exp(w, y, m, k.Y_FADE, m.n_rc, lanes)
+
+
+@inline
+def one_minus_exp(w: Any, y: Any, m: Any, slot: int, count: int, lanes: int) -> None:
+    """x <- 1 - exp(-x) in `count` slots; the short form where every x is small."""
+    W = m.lanes
+    large = 0
+    for c in range(lanes):
+        for j in range(count):
+            large |= 1 if y[W * (slot + j) + c] > real(w, FALL_SMALL) else 0
+    if large:
+        for c in range(lanes):
+            for j in range(count):
+                y[W * (slot + j) + c] = fall(w, y[W * (slot + j) + c])
+    else:
+        for c in range(lanes):
+            for j in range(count):
+                y[W * (slot + j) + c] = fall_small(w, y[W * (slot + j) + c])
+
+
+@inline
+def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """The ohmic drop, its slope over the current and its uncertainty; with no current known, what one could make it."""
+    W = m.lanes
+    zero, one = real(p, 0), real(p, 1)
+    for c in range(lanes):
+        unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
+        i = w[W * k.H_CURRENT + c]
+        i = p[k.P_CURRENT_RANGE] if unknown else i
+        r0_discharge, r0_charge = y[W * (k.Y_DYN + k.D_R0) + c], y[W * (k.Y_DYN + k.D_R0_CHARGE) + c]
+        r0 = r0_charge if i < zero else r0_discharge
+        knee = y[W * (k.Y_DYN + k.D_KNEE) + c]
+        u = i / knee
+        drop = r0 * knee * asinh(p, u)
+        y[W * k.Y_DROP + c] = zero if unknown else drop
+        y[W * k.Y_DROP_SIGMA + c] = drop if unknown else p[k.P_R0_REL] * drop
+        if m.bias:
+            y[W * k.Y_DROP_SLOPE + c] = r0 / math.sqrt(one + u * u)
+
+
+@inline
+def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
+    """Predict every lane's belief over dt > 0 under the current it holds; in a gap SoC is doubted instead."""
+    W = m.lanes
+    bias_lost = fall(p, dt / p[k.P_BIAS_TAU])
+    for c in range(lanes):
+        lost = vector(w, N_MAX)
+        g = vector(w, N_MAX)
+        gain = vector(w, N_MAX)
+        q = vector(w, N_MAX)
+        lost[k.SOC] = real(p, 0)
+        g[k.SOC] = soc_per_ampere(p, w, y, m, c)
+        gain[k.SOC] = -charge(p, w, y, m, c)
+        q[k.SOC] = math.sqrt(soc_walk(p, w, y, m, c, dt)) + real(p, TINY_ROOT)
+        for j in range(m.n_rc):
+            relax_rc(p, w, y, m, c, j, lost, g, gain, q)
+        if m.hysteresis:
+            h = k.V_RC1 + m.n_rc
+            largest = y[W * (k.Y_DYN + k.D_RC1 + 2 * m.n_rc) + c]
+            lost[h] = y[W * (k.Y_FALL + m.n_rc) + c]
+            g[h] = real(p, 0)
+            gain[h] = lost[h] * (-largest if w[W * k.H_CURRENT + c] < real(p, 0) else largest)
+            q[h] = noise_root(p, lost[h], p[k.P_VAR_V + m.n_rc])
+        if m.bias:
+            lost[m.n - 1] = bias_lost
+            g[m.n - 1] = gain[m.n - 1] = real(p, 0)
+            q[m.n - 1] = noise_root(p, bias_lost, p[k.P_BIAS_SIGMA] * p[k.P_BIAS_SIGMA])
+        if m.core:
+            warm_core(p, w, y, m, c)
+        predict(w, c, m, lost, g, gain, q)
+        sigma = w[W * m.root + c]
+        w[W * m.root + c] = p[k.P_SOC_SIGMA_MAX] if sigma > p[k.P_SOC_SIGMA_MAX] else sigma
+
+
+@inline
+def soc_walk(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> Any:
+    """Growth of SoC's variance in this step; keeps the account of the gap."""
+    W = m.lanes
+    i = w[W * k.H_CURRENT + c]
+    gap = y[W * k.Y_GAP + c]
+    before = w[W * k.H_GAP_S + c]
+    after = before + gap
+    w[W * k.H_GAP_S + c] = real(p, 0) if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else after
+    # The current of a gap is one unknown number, not noise: its sigma grows with time, its variance with the square.
+    doubted = p[k.P_CURRENT_RANGE] / p[k.P_CHARGE_COULOMB]
+    unknown = doubted * doubted * gap * (after + before)
+    return dt * (p[k.P_SOC_WALK_OFFSET] + p[k.P_SOC_WALK_GAIN] * i * i) + unknown
+
+
+@inline
+def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, gain: Any, q: Any) -> None:
+    """What the step does to the voltage of an RC pair."""
+    W = m.lanes
+    i = w[W * k.H_CURRENT + c]
+    r = y[W * (k.Y_DYN + k.D_RC1 + 2 * j) + c]
+    rise = y[W * (k.Y_FALL + j) + c]
+    faded = y[W * (k.Y_FADE + j) + c]
+    # What is known of the current is the end of the step if it was just measured, else its beginning.
+    to_target = rise if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else rise - rise * faded
+    lost[k.V_RC1 + j] = rise + faded - rise * faded
+    g[k.V_RC1 + j] = -r * to_target
+    gain[k.V_RC1 + j] = r * i * to_target
+    # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate. An offset of
+    # the current shifts every drop for good; the slowest process carries that of r0 too.
+    r0 = y[W * (k.Y_DYN + k.D_R0) + c]
+    error = p[k.P_RC_REL] * r * i
+    shift = p[k.P_CURRENT_OFFSET] * (r + r0 if j == m.n_rc - 1 else r)
+    unknown = r * p[k.P_CURRENT_RANGE]
+    stationary = p[k.P_VAR_V + j] + error * error + shift * shift
+    stationary += unknown * unknown if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0)
+    q[k.V_RC1 + j] = noise_root(p, lost[k.V_RC1 + j], stationary)
+
+
+@inline
+def noise_root(p: Any, lost: Any, stationary: Any) -> Any:
+    """Root of the noise that keeps a state of which the share `lost` decays at the variance `stationary`."""
+    return math.sqrt(lost * (real(p, 2) - lost) * stationary) + real(p, TINY_ROOT)
+
+
+@inline
+def warm_core(p: Any, w: Any, y: Any, m: Any, c: int) -> None:
+    """The core's temperature goes to that of the surface and what the losses i (ocv - v) put on top."""
+    W = m.lanes
+    loss = y[W * k.Y_DROP + c]
+    for j in range(m.n_v):
+        loss += w[W * (m.x + k.V_RC1 + j) + c]
+    target = p[k.P_CORE_K_PER_W] * w[W * k.H_CURRENT + c] * loss
+    rise = w[W * k.H_CORE_RISE + c]
+    w[W * k.H_CORE_RISE + c] = rise + y[W * (k.Y_FALL + m.n_v) + c] * (target - rise)

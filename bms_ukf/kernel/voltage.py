@@ -1,0 +1,107 @@
+"""What the measured voltages say: look the OCV up, compare, gate, fuse."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
+from bms_ukf.kernel.ecm import between_rows, clamp, is_number, ocv_cubic, ocv_interval
+from bms_ukf.kernel.jit import inline
+from bms_ukf.kernel.memory import real
+from bms_ukf.kernel.process import TINY_ROOT
+from bms_ukf.kernel.srukf import innovate, update
+from bms_ukf.kernel.wide import update_wide
+from bms_ukf.records import Fault
+
+INNOVATION_REJECTED = float(Fault.INNOVATION_REJECTED)
+
+
+@inline
+def look_up(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """The OCV at the mean SoC and at the two sigma points that move it; Y_OCV_D turns from fraction to voltage.
+
+    Finding the interval and reading it are two loops: the first is arithmetic, the second are gathers.
+    """
+    W = m.lanes
+    for c in range(lanes):
+        soc = w[W * (m.x + k.SOC) + c]
+        spread = p[k.P_GAMMA] * w[W * m.root + c]
+        # A lane without a belief must not give an index.
+        spread = spread if is_number(spread) else real(p, 0)
+        soc = soc if soc - soc == real(p, 0) else real(p, 0.5)
+        row_at, f = between_rows(p, k.P_OCV, y[W * k.Y_T + c])
+        y[W * k.Y_OCV_F + c] = f
+        here, d = ocv_interval(p, row_at, soc)
+        y[W * k.Y_OCV_AT + c] = here
+        y[W * k.Y_OCV_D + c] = d
+        here, d = ocv_interval(p, row_at, soc + spread)
+        y[W * (k.Y_OCV_AT + 1) + c] = here
+        y[W * (k.Y_OCV_D + 1) + c] = d
+        here, d = ocv_interval(p, row_at, soc - spread)
+        y[W * (k.Y_OCV_AT + 2) + c] = here
+        y[W * (k.Y_OCV_D + 2) + c] = d
+    for point in range(3):
+        for c in range(lanes):
+            here = int(y[W * (k.Y_OCV_AT + point) + c])
+            d, f = y[W * (k.Y_OCV_D + point) + c], y[W * k.Y_OCV_F + c]
+            y[W * (k.Y_OCV_D + point) + c] = ocv_cubic(p, here, d, f)
+
+
+@inline
+def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
+    """Innovate every lane, and decide which voltages are fused. Returns whether any lane needs more than `update`."""
+    W = m.lanes
+    zero, one = real(p, 0), real(p, 1)
+    special = 0
+    for c in range(lanes):
+        z = y[W * k.Y_VOLTAGE + c]
+        sigma = y[W * k.Y_DROP_SIGMA + c]
+        # Neither sensor nor model errors are new every millisecond: readings that crowd are each worth less.
+        age = clamp(w[W * k.H_VOLTAGE_AGE + c], real(p, TINY_ROOT), real(p, VOLTAGE_ERROR_S))
+        r = real(p, VOLTAGE_ERROR_S) / age * (p[k.P_VAR_VOLTAGE] + sigma * sigma)
+        g0, g_plus, g_minus = y[W * k.Y_OCV_D + c], y[W * (k.Y_OCV_D + 1) + c], y[W * (k.Y_OCV_D + 2) + c]
+        innovate(p, w, y, c, m, z, y[W * k.Y_DROP + c], g0, g_plus, g_minus, r)
+        innovation = y[W * k.Y_INNOVATION + c]
+        heard = is_number(z) & (y[W * k.Y_ALIVE + c] > zero)
+        sound = innovation + y[W * k.Y_VARIANCE + c]
+        compared = heard & (sound - sound == zero)
+        accepted = innovation * innovation <= p[k.P_GATE2] * y[W * k.Y_VARIANCE + c]
+        refused = compared & (not accepted)
+        fuse = compared & accepted
+        since = w[W * k.H_REJECTED_S + c]
+        since = since if is_number(since) else zero
+        waited = w[W * k.H_REJECTED_S + c]
+        waited = since if refused else waited
+        waited = real(p, math.nan) if fuse else waited
+        w[W * k.H_REJECTED_S + c] = waited
+        code = real(p, INNOVATION_REJECTED) if refused else zero
+        y[W * k.Y_CODE + c] += real(p, math.nan) if heard & (not compared) else code  # NaN: to be refused
+        wide = fuse & (w[W * m.root + c] > p[k.P_WIDE_SIGMA])
+        special |= 1 if wide | (refused & (since >= p[k.P_REJECT_S])) else 0
+        how = one if fuse else zero
+        y[W * k.Y_FUSE + c] = real(p, 2) if wide else how
+    return special
+
+
+@inline
+def fuse(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Update every lane whose voltage was accepted."""
+    W = m.lanes
+    zero = real(p, 0)
+    for c in range(lanes):
+        update(w, y, c, m)
+    for c in range(lanes):
+        fused = y[W * k.Y_FUSE + c] > zero
+        age = w[W * k.H_VOLTAGE_AGE + c]
+        w[W * k.H_VOLTAGE_AGE + c] = zero if fused else age
+
+
+@inline
+def fuse_wide(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Update the lanes whose belief is too wide for sigma points (Y_FUSE is 2)."""
+    W = m.lanes
+    for c in range(lanes):
+        if y[W * k.Y_FUSE + c] == real(w, 2):
+            update_wide(p, w, y, m, c)

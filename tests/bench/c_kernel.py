@@ -1,0 +1,119 @@
+"""The filter step in hand-written C (`c/kernel.c`), built here with `cc`: what the benchmarks compare with."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bms_ukf import CellParams, Fault, Status, Tuning
+from bms_ukf.kernel import belief, ecm, inputs, layout, process
+from bms_ukf.kernel import step as policy
+from bms_ukf.kernel.params import aligned, params
+
+SOURCE = Path(__file__).parent / "c" / "kernel.c"
+OPTIMISED = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math")
+SHARED = ("-fPIC", "-fno-semantic-interposition", "-shared")
+STRICT = ("-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+Array = NDArray[np.floating]
+
+
+def layout_header() -> str:
+    """layout.h: the slots and constants of the Python kernel, so that they are written once."""
+    prefixes = ("P_", "T_", "D_", "IN_", "OUT_")
+    constants: dict[str, object] = {name: value for name, value in vars(layout).items() if name.startswith(prefixes)}
+    for module, names in (
+        (layout, ("LANES", "IO_ROWS", "OCV_COEFFICIENTS")),
+        (ecm, ("FALL_SMALL", "FALL_TERMS", "FALL_DOUBLINGS", "FALL_HALF", "FALL_LARGEST")),
+        (ecm, ("ASINH_SCALE", "ASINH_HALVINGS")),
+        (belief, ("VOLTAGE_ERROR_S",)),
+        (inputs, ("UNKNOWN_TEMPERATURE",)),
+        (process, ("TINY_ROOT",)),
+        (policy, ("STATUS_SHIFT", "SOC_SLACK", "SOC_BEYOND")),
+    ):
+        constants |= {name: getattr(module, name) for name in names}
+    constants |= {f"FAULT_{fault.name}": int(fault) for fault in Fault}
+    constants |= {f"STATUS_{status.name}": int(status) for status in Status}
+    constants["ASINH"] = "{" + ", ".join(map(repr, ecm.ASINH)) + "}"
+    return "".join(f"#define {name} {value}\n" for name, value in constants.items())
+
+
+@functools.cache
+def library(bits: int, hysteresis: bool) -> Path:
+    """Compile one variant into a temporary folder that lives as long as the process. `CC` chooses the compiler."""
+    folder = Path(_folder().name)
+    (folder / "layout.h").write_text(layout_header())
+    built = folder / f"kernel_{bits}_{int(hysteresis)}.so"
+    variant = (f"-DBITS={bits}", f"-DHYSTERESIS={int(hysteresis)}", f"-I{folder}")
+    command = [os.environ.get("CC", "cc"), *STRICT, *OPTIMISED, *SHARED, *variant, str(SOURCE), "-o", str(built), "-lm"]
+    subprocess.run(command, check=True)
+    return built
+
+
+@functools.cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="bms-ukf-c-")
+
+
+class CKernel:
+    """The C kernel of a cell type: one cell (`step`, `replay`) and a pack of `cells` (`tick`, `replay_pack`).
+
+    The buffers are `params`, `cell`, `pack`, and `io`, which has `layout.IO_ROWS` rows of `cells` numbers. `raw` has
+    the C functions with their argument types set, `addresses` what they take first: for calls without these wrappers.
+    """
+
+    def __init__(self, cell: CellParams, tuning: Tuning | None = None, bits: int = 64, cells: int = 1) -> None:
+        tuning = tuning or Tuning()
+        if cell.dynamics.n_rc != 2 or cell.thermal is not None or tuning.current_bias:
+            raise ValueError("the C kernel has two RC pairs, no core temperature and no bias state")
+        self.cells = cells
+        self.raw = ctypes.CDLL(str(library(bits, cell.hysteresis is not None)))
+        pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+        self.raw.cell_step.argtypes = [pointer, pointer, number, number, number, number]
+        self.raw.cell_replay.argtypes = [pointer, pointer, count, pointer, pointer]
+        self.raw.pack_tick.argtypes = [pointer, pointer, pointer, count, number, number]
+        self.raw.pack_replay.argtypes = [pointer, pointer, pointer, count, count, pointer, pointer]
+        self.raw.cell_reset.argtypes = [pointer]
+        self.raw.pack_reset.argtypes = [pointer, count]
+        self.raw.pack_size.argtypes = [count]
+        self.raw.cell_size.restype = self.raw.pack_size.restype = ctypes.c_size_t
+        self.params = params(cell, tuning, bits)
+        self.dtype = self.params.dtype
+        self.cell = aligned(self.raw.cell_size() // self.dtype.itemsize, bits)
+        self.pack = aligned(self.raw.pack_size(cells) // self.dtype.itemsize, bits)
+        self.io = aligned(layout.IO_ROWS * cells, bits).reshape(layout.IO_ROWS, cells)
+        self.addresses = {name: getattr(self, name).ctypes.data for name in ("params", "cell", "pack", "io")}
+        self._one = self.addresses["params"], self.addresses["cell"]
+        self._all = self.addresses["params"], self.addresses["pack"], self.addresses["io"], cells
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything measured so far, in the cell and in the pack."""
+        self.raw.cell_reset(self.addresses["cell"])
+        self.raw.pack_reset(self.addresses["pack"], self.cells)
+
+    def step(self, dt: float, current: float, voltage: float, temperature: float) -> int:
+        """Advance the cell by dt s to a sample (A, V, degC); returns the code that `kernel.entry.tick` returns."""
+        return int(self.raw.cell_step(*self._one, dt, current, voltage, temperature))
+
+    def replay(self, samples: Array) -> Array:
+        """Step through `samples`, (n, 4): dt, current, voltage, temperature. Returns (n, 3): soc, soc_sigma, nis."""
+        samples = np.ascontiguousarray(samples, self.dtype)
+        results = np.empty((len(samples), 3), self.dtype)
+        self.raw.cell_replay(*self._one, len(samples), samples.ctypes.data, results.ctypes.data)
+        return results
+
+    def tick(self, dt: float, current: float) -> int:
+        """Advance the pack by dt s to a current, A, and what is in the `IN_*` rows of `io`; writes the `OUT_*` rows."""
+        return int(self.raw.pack_tick(*self._all, dt, current))
+
+    def replay_pack(self, drive: Array, measured: Array) -> int:
+        """Tick through `drive`, (n, 2): dt, current, and `measured`, (n, 2, cells): voltages and temperatures."""
+        drive, measured = np.ascontiguousarray(drive, self.dtype), np.ascontiguousarray(measured, self.dtype)
+        return int(self.raw.pack_replay(*self._all, len(drive), drive.ctypes.data, measured.ctypes.data))
