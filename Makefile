@@ -1,10 +1,10 @@
-# make demo · test · lint · plant · bench: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
+# make demo · test · lint · plant · bench · soak: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
 PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 export PYBAMM_DISABLE_TELEMETRY := true
 
-.PHONY: demo test lint plant bench clean
+.PHONY: demo test lint plant bench soak clean
 
 demo: .venv/runtime
 	$(BIN)/bms-ukf demo
@@ -23,6 +23,9 @@ plant: .venv/runtime compiler
 
 bench: .venv/test compiler
 	$(BIN)/python -m pytest -m bench tests/bench
+
+soak: .venv/test
+	PYTHONPATH=tests/reference $(BIN)/python -m soak 1e8
 
 clean:
 	rm -rf .venv .numba_cache

@@ -70,6 +70,24 @@ def with_coefficient() -> CellData:
     return data
 
 
+def plateau() -> CellData:
+    """2 Ah, like LFP: 30 mV from 15 to 95 %, in two steps, and hysteresis as wide as that."""
+    data = nonlinear()
+    soc = np.linspace(0, 1, 101)
+    step = 1 / (1 + np.exp(-(soc - 0.65) / 0.03))
+    ocv = 2.9 + 0.35 * (1 - np.exp(-18 * soc)) + 0.012 * soc + 0.018 * step + 0.1 * np.exp((soc - 1) / 0.012)
+    data["cell"] |= {"capacity_Ah": 2.0, "voltage_limits_V": [2.5, 3.6]}
+    data["ocv"] = {"temperature_degC": [25.0], "soc": soc.tolist(), "voltage_V": [ocv.tolist()]}
+    data["hysteresis"] = {
+        "soc": [0.0, 1.0],
+        "temperature_degC": [0.0, 25.0],
+        "max_V": [[0.03, 0.02], [0.015, 0.01]],
+        "rate": 60.0,
+    }
+    data["noise"]["hysteresis_sigma_V"] = 0.003
+    return data
+
+
 def linear() -> CellData:
     """OCV a straight line from 3 V to 4 V, resistances constant: the filter's system is linear."""
     data = nonlinear()
