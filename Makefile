@@ -22,6 +22,7 @@ plant: .venv/runtime compiler
 	$(BIN)/python models/fmi2/build.py models/lgm50_spme models/plants/lgm50_spme.fmu
 
 bench: .venv/test compiler
+	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	$(BIN)/python -m pytest -m bench tests/bench
 
 soak: .venv/test

@@ -95,8 +95,18 @@ def triangularise(w: Any, c: int, m: Any, lost: Any, g: Any, q: Any) -> None:
             for k in range(n):
                 root[n * j + k] += g[j] * w[W * (m.root + tri(n - 1, k)) + c]
         noise[n * j + j] = q[j]
-    for j in range(n):
-        reflect(root, noise, n, j, n if m.bias else j + 1)
+    # Written out, as LLVM does not unroll a loop with so large a body; what is beyond n vanishes.
+    reflect(root, noise, n, 0, n if m.bias else 1)
+    if n > 1:
+        reflect(root, noise, n, 1, n if m.bias else 2)
+    if n > 2:
+        reflect(root, noise, n, 2, n if m.bias else 3)
+    if n > 3:
+        reflect(root, noise, n, 3, n if m.bias else 4)
+    if n > 4:
+        reflect(root, noise, n, 4, n if m.bias else 5)
+    if n > 5:
+        reflect(root, noise, n, 5, n)
     for j in range(n):
         for k in range(j + 1):
             w[W * (m.root + tri(j, k)) + c] = root[n * j + k]

@@ -177,17 +177,30 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
     for c in range(lanes):
         innovation = y[W * k.Y_INNOVATION + c]
         variance = y[W * k.Y_VARIANCE + c]
+        predicted = y[W * k.Y_PREDICTED + c]
         compared = is_number(innovation) & (y[W * k.Y_ALIVE + c] > zero)
-        out = first + c
-        io[rows * k.OUT_SOC + out] = clamp(w[W * (m.x + k.SOC) + c], zero, one)
-        io[rows * k.OUT_SOC_SIGMA + out] = w[W * m.root + c]
-        io[rows * k.OUT_VOLTAGE_PRED + out] = y[W * k.Y_PREDICTED + c] if compared else nan
-        io[rows * k.OUT_INNOVATION + out] = innovation if compared else nan
-        io[rows * k.OUT_INNOVATION_VAR + out] = variance if compared else nan
-        io[rows * k.OUT_NIS + out] = innovation * innovation / variance if compared else nan
-        io[rows * k.OUT_AGE + out] = w[W * k.H_VOLTAGE_AGE + c]
-        io[rows * k.OUT_BIAS + out] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
-        io[rows * k.OUT_CODE + out] = y[W * k.Y_CODE + c]
+        y[W * k.Y_SOC + c] = clamp(w[W * (m.x + k.SOC) + c], zero, one)
+        y[W * k.Y_PREDICTED + c] = predicted if compared else nan
+        y[W * k.Y_INNOVATION + c] = innovation if compared else nan
+        y[W * k.Y_VARIANCE + c] = variance if compared else nan
+        y[W * k.Y_NIS + c] = innovation * innovation / variance if compared else nan
+        y[W * k.Y_BIAS + c] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
+    # A row at a time: rows that might overlap would take more checks than LLVM is ready to make.
+    show(io, rows * k.OUT_SOC + first, y, W * k.Y_SOC, lanes)
+    show(io, rows * k.OUT_SOC_SIGMA + first, w, W * m.root, lanes)
+    show(io, rows * k.OUT_VOLTAGE_PRED + first, y, W * k.Y_PREDICTED, lanes)
+    show(io, rows * k.OUT_INNOVATION + first, y, W * k.Y_INNOVATION, lanes)
+    show(io, rows * k.OUT_INNOVATION_VAR + first, y, W * k.Y_VARIANCE, lanes)
+    show(io, rows * k.OUT_NIS + first, y, W * k.Y_NIS, lanes)
+    show(io, rows * k.OUT_AGE + first, w, W * k.H_VOLTAGE_AGE, lanes)
+    show(io, rows * k.OUT_BIAS + first, y, W * k.Y_BIAS, lanes)
+    show(io, rows * k.OUT_CODE + first, y, W * k.Y_CODE, lanes)
+
+
+@inline
+def show(io: Any, out: int, source: Any, at: int, lanes: int) -> None:
+    for c in range(lanes):
+        io[out + c] = source[at + c]
 
 
 @inline

@@ -68,7 +68,7 @@ def stepped(make: type[peers.Peer], cell: CellParams, readings: list[float]) -> 
     return time.perf_counter() - started, soc
 
 
-@pytest.mark.filterwarnings("ignore:Please import:DeprecationWarning")  # bayesian-filters imports of scipy what has moved
+@pytest.mark.filterwarnings("ignore:Please import:DeprecationWarning")  # bayesian-filters
 def test_every_peer_finds_the_same_soc_and_filterpy_takes_fifty_ticks(
     cell: CellParams, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,73 +1,20 @@
-"""The C kernel is the same filter as the Python one: else its time says nothing. Then how long each takes."""
+"""The C kernel is the same filter as the Python one: else its time says nothing."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-import synthetic_cell
+from bench_drive import STEPS, TUNING, Drive, cell_of
 from c_kernel import CKernel
 
-from bms_ukf import CellParams, Estimator, Fault, Sample, Tuning
+from bms_ukf import Estimator, Fault, Sample
 from bms_ukf.kernel import layout
 
 pytestmark = pytest.mark.bench
 
-STEPS, PACK = 2000, 37  # two blocks and a part of one
+PACK = 37  # two blocks and a part of one
 TOLERANCE = {64: 1e-9, 32: 1e-4}
-TUNING = Tuning(initial_soc=0.8, initial_soc_sigma=0.01)  # never so wide as to need the quadrature, which C has not
 VARIANTS = pytest.mark.parametrize(("hysteresis", "bits"), [(False, 64), (False, 32), (True, 64), (True, 32)])
-
-
-def cell_of(hysteresis: bool) -> CellParams:
-    data = synthetic_cell.nonlinear()
-    if hysteresis:
-        max_V = [[0.020, 0.015, 0.010]]
-        data["hysteresis"] = {"soc": [0.0, 0.5, 1.0], "temperature_degC": [25.0], "max_V": max_V, "rate": 20.0}
-        data["noise"]["hysteresis_sigma_V"] = 0.003
-    return synthetic_cell.cell_of(data)
-
-
-class Drive:
-    """Steps of current and temperature, sampled at 1 s with some faster, coinciding and missing samples.
-
-    Temperature moves by half a kelvin or not at all: the single C cell has no cache of its dynamics.
-    """
-
-    def __init__(self, cell: CellParams, cells: int, faults: bool = True) -> None:
-        random = np.random.default_rng(1)
-        self.dt = np.ones(STEPS)
-        self.dt[0] = 0.0
-        self.current = np.repeat(random.uniform(-4, 8, STEPS // 20), 20)
-        temperature = 25 + np.repeat(random.integers(-10, 10, STEPS // 50) / 2, 50)
-        soc = np.clip(0.8 - np.cumsum(self.current) / (3600 * cell.cell.capacity_Ah), 0, 1)
-        ocv = [float(cell.ocv_V(*at)) for at in zip(soc, temperature, strict=True)]
-        rest = np.array(ocv) - 0.03 * self.current
-        self.voltage = rest[:, None] + random.normal(0, 0.003, (STEPS, cells))
-        self.temperature = np.repeat(temperature[:, None], cells, axis=1)
-        if faults:
-            self.dt[100:200], self.dt[400:410] = 0.1, 0.0
-            self.dt[300] = 7.0  # longer than a current counts
-            self.voltage[500:520] = np.nan
-            self.voltage[600], self.voltage[1300:1320] = (
-                self.voltage[600] + 0.5,
-                self.voltage[1300:1320] + 0.3,
-            )  # refused
-            self.current[700:705], self.current[1400:1412] = np.nan, np.nan
-            self.temperature[800:900] = np.nan
-            self.voltage[1200], self.current[1500], self.temperature[1600] = 9.0, 1e4, 400.0  # implausible
-
-    @property
-    def samples(self) -> np.ndarray:
-        """(n, 4) of the first cell, as `CKernel.replay` takes them."""
-        return np.column_stack([self.dt, self.current, self.voltage[:, 0], self.temperature[:, 0]])
-
-    @property
-    def measured(self) -> np.ndarray:
-        """(n, 2, cells), as `CKernel.replay_pack` takes them."""
-        return np.stack([self.voltage, self.temperature], axis=1)
 
 
 @VARIANTS
@@ -134,34 +81,3 @@ def test_what_overflows_in_c_is_refused_whole(hysteresis: bool, bits: int) -> No
     assert single.step(1.0, 1.0, 3.6, 25.0) == estimator._code
     assert estimator._code & Fault.NUMERIC
     np.testing.assert_array_equal(single.cell[:results], before)
-
-
-def test_time_of_a_step_in_c(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = []
-    for hysteresis in (False, True):
-        cell = cell_of(hysteresis)
-        for bits in (64, 32):
-            single, samples = CKernel(cell, TUNING, bits), Drive(cell, 1, faults=False).samples
-            times = [ns_per_step(single, lambda single=single, samples=samples: single.replay(samples), 1)]
-            for cells in (96, 400):
-                pack, drive = CKernel(cell, TUNING, bits, cells), Drive(cell, cells, faults=False)
-                steps = np.column_stack([drive.dt, drive.current]).astype(pack.dtype)
-                measured = drive.measured.astype(pack.dtype)
-                run = lambda pack=pack, steps=steps, measured=measured: pack.replay_pack(steps, measured)  # noqa: E731
-                times.append(ns_per_step(pack, run, cells))
-            rows.append((3 + hysteresis, bits, *times))
-    with capsys.disabled():
-        print(f"\n{'C, ns per step of a cell':26} {'alone':>8} {'96 cells':>9} {'400 cells':>9}")
-        for n, bits, *times in rows:
-            print(f"{f'{n} states, float{bits}':26} {times[0]:8.0f} {times[1]:9.1f} {times[2]:9.1f}")
-    assert all(time > 1 for _, _, *times in rows for time in times)  # ns: a loop that ran nothing takes less
-
-
-def ns_per_step(kernel: CKernel, run: Callable[[], object], cells: int, rounds: int = 9) -> float:
-    times = []
-    for _ in range(rounds):
-        kernel.reset()
-        started = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - started)
-    return 1e9 * float(np.median(times)) / STEPS / cells
