@@ -113,8 +113,8 @@ def settle(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
 def load(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
     """Copy the block's records, and see which lanes have a belief: one that is not finite is none."""
     W = m.lanes
-    for k_ in range(W * m.cache):
-        w[k_] = s[o + k_]
+    for place in range(W * m.cache):
+        w[place] = s[o + place]
     for c in range(lanes):
         y[W * k.Y_ALIVE + c] = real(w, 1) if _finite(w, y, m, c) else real(w, 0)
 
@@ -207,8 +207,8 @@ def show(io: Any, out: int, source: Any, at: int, lanes: int) -> None:
 def commit(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> int:
     """Make the working copy the block's records; returns the lanes' faults and status together."""
     W = m.lanes
-    for k_ in range(W * m.cache):
-        s[o + k_] = w[k_]
+    for place in range(W * m.cache):
+        s[o + place] = w[place]
     faults, seen = 0, 0
     for c in range(lanes):
         code = int(y[W * k.Y_CODE + c])
