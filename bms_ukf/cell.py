@@ -1,7 +1,7 @@
 """A cell: what the estimator knows of one, loaded from a cell file and refused when it cannot be true.
 
-The model is v = ocv(soc, T) - v_rc1 - v_rc2 - r0 knee asinh(i / knee), with current i positive on discharge;
-`kernel.ecm` has the equations. SoC is the charge above the empty state at 25 degC over the capacity at 25 degC.
+The model is v = ocv(soc, T) - v_rc1 - v_rc2 .. - v_hyst - r0 knee asinh(i / knee), with current i positive on
+discharge; `kernel.ecm` has the equations. SoC is the charge above the empty state at 25 degC over the capacity there.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Temperature = Annotated[float, Field(ge=-60, le=120)]
 Knots = Annotated[list[float], Field(min_length=2, max_length=1001)]
 Rows = Annotated[list[list[float]], Field(min_length=1)]
+Sigma = Annotated[float, Field(gt=0, lt=0.5)]
 ZERO_CELSIUS_K = 273.15
 
 
@@ -67,51 +68,98 @@ class Ocv(toml.Section):
 
 
 class Dynamics(toml.Section):
-    """[dynamics]: resistances and time constants, one row per temperature, over SoC knots that cover 0..1."""
+    """[dynamics]: resistances and time constants, one row per temperature, over SoC knots that cover 0..1.
+
+    One to three RC pairs, the faster first.
+    """
 
     soc: Knots
     temperature_degC: Annotated[list[Temperature], Field(min_length=1)]
     r0_ohm: Rows
+    r0_charge_ohm: Rows | None = None  # None: as r0_ohm
+    r0_knee_A: Rows | None = None  # current above which the drop over r0 grows with the logarithm; None: never
     r1_ohm: Rows
     tau1_s: Rows
-    r2_ohm: Rows
-    tau2_s: Rows
-    r0_knee_A: Rows | None = None  # current above which the drop over r0 grows with the logarithm; None: never
+    r2_ohm: Rows | None = None
+    tau2_s: Rows | None = None
+    r3_ohm: Rows | None = None
+    tau3_s: Rows | None = None
+
+    @property
+    def n_rc(self) -> int:
+        """Number of RC pairs."""
+        return sum(table is not None for table in (self.r1_ohm, self.r2_ohm, self.r3_ohm))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         _require_knots(self.soc, "dynamics.soc")
         _require_increasing(self.temperature_degC, "dynamics.temperature_degC")
-        for key, low, high in _DYNAMICS_RANGES:
+        for key, (low, high) in _DYNAMICS_RANGES.items():
             table = getattr(self, key)
             if table is None:
                 continue
             _require_shape(table, len(self.temperature_degC), len(self.soc), f"dynamics.{key}")
             for value in (value for row in table for value in row):
                 _require(low < value < high, f"dynamics.{key} between {low:g} and {high:g}, got {value:g}")
-        _require(bool(np.all(np.less(self.tau1_s, self.tau2_s))), "dynamics.tau1_s below dynamics.tau2_s everywhere")
+        for j in (2, 3):
+            r, tau = getattr(self, f"r{j}_ohm"), getattr(self, f"tau{j}_s")
+            _require((r is None) == (tau is None), f"dynamics.r{j}_ohm and dynamics.tau{j}_s together or not at all")
+            slower = getattr(self, f"tau{j - 1}_s")
+            _require(tau is None or slower is not None, f"dynamics.r{j - 1}_ohm where there is dynamics.r{j}_ohm")
+            ordered = tau is None or bool(np.all(np.less(slower, tau)))
+            _require(ordered, f"dynamics.tau{j - 1}_s below dynamics.tau{j}_s everywhere")
         return self
 
 
-_DYNAMICS_RANGES = (
-    ("r0_ohm", 0.0, 10.0),
-    ("r1_ohm", 0.0, 10.0),
-    ("tau1_s", 0.01, 1e5),
-    ("r2_ohm", 0.0, 10.0),
-    ("tau2_s", 0.01, 1e6),
-    ("r0_knee_A", 0.0, 1e6),
-)
+_DYNAMICS_RANGES = {
+    "r0_ohm": (0.0, 10.0),
+    "r0_charge_ohm": (0.0, 10.0),
+    "r0_knee_A": (0.0, 1e6),
+    "r1_ohm": (0.0, 10.0),
+    "tau1_s": (0.01, 1e5),
+    "r2_ohm": (0.0, 10.0),
+    "tau2_s": (0.01, 1e6),
+    "r3_ohm": (0.0, 10.0),
+    "tau3_s": (0.01, 1e7),
+}
 NO_KNEE_A = 1e6  # so far above any current that the drop is linear
+
+
+class Hysteresis(toml.Section):
+    """[hysteresis]: how far the OCV of [ocv], the mean of both directions, is from that of a long charge or discharge."""
+
+    soc: Knots
+    temperature_degC: Annotated[list[Temperature], Field(min_length=1)]
+    max_V: Rows  # half the width between the branches
+    rate: Annotated[float, Field(gt=0, lt=1e5)]  # approach to a branch, 1 / (SoC moved)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        _require_knots(self.soc, "hysteresis.soc")
+        _require_increasing(self.temperature_degC, "hysteresis.temperature_degC")
+        _require_shape(self.max_V, len(self.temperature_degC), len(self.soc), "hysteresis.max_V")
+        for value in (value for row in self.max_V for value in row):
+            _require(0 <= value < 0.5, f"hysteresis.max_V between 0 and 0.5, got {value:g}")
+        return self
+
+
+class Thermal(toml.Section):
+    """[thermal]: the core, whose temperature the tables are read at, above the surface, which is measured."""
+
+    core_K_per_W: Annotated[float, Field(gt=0, lt=1000)]
+    core_tau_s: Annotated[float, Field(gt=0, lt=1e6)]
 
 
 class Noise(toml.Section):
     """[noise]: how far the model itself is to be trusted, one sigma. It sets the filter's Q and R."""
 
-    voltage_sigma_V: Annotated[float, Field(gt=0, lt=0.5)]  # white
+    voltage_sigma_V: Sigma  # white
     r0_rel_sigma: Annotated[float, Field(ge=0, lt=2)]  # relative: adds |i| r0 of it to the voltage error
-    v_rc1_sigma_V: Annotated[float, Field(gt=0, lt=0.5)]  # correlated over tau1
-    v_rc2_sigma_V: Annotated[float, Field(gt=0, lt=0.5)]  # correlated over tau2
-    rc_rel_sigma: Annotated[float, Field(ge=0, lt=2)]  # relative error of r1 and r2
+    v_rc1_sigma_V: Sigma  # correlated over tau1
+    v_rc2_sigma_V: Sigma | None = None  # over tau2, and so on: one for each RC pair
+    v_rc3_sigma_V: Sigma | None = None
+    rc_rel_sigma: Annotated[float, Field(ge=0, lt=2)]  # relative error of r1..
+    hysteresis_sigma_V: Sigma | None = None  # where there is a [hysteresis]
 
 
 class CellParams(toml.Document):
@@ -120,6 +168,8 @@ class CellParams(toml.Document):
     cell: Limits
     ocv: Ocv
     dynamics: Dynamics
+    hysteresis: Hysteresis | None = None
+    thermal: Thermal | None = None
     noise: Noise
     provenance: dict[str, Any] = Field(default_factory=dict)
 
@@ -132,6 +182,11 @@ class CellParams(toml.Document):
         for temperature in self.cell.temperature_limits_degC:
             row = list(self._ocv_row(temperature))
             _require_increasing(row, "ocv", f"with SoC at {temperature:g} degC, after docv_dT_V_per_K")
+        for j in (2, 3):
+            stated, used = getattr(self.noise, f"v_rc{j}_sigma_V") is not None, j <= self.dynamics.n_rc
+            _require(stated == used, f"noise.v_rc{j}_sigma_V where there is dynamics.r{j}_ohm, and only there")
+        stated, used = self.noise.hysteresis_sigma_V is not None, self.hysteresis is not None
+        _require(stated == used, "noise.hysteresis_sigma_V where there is a [hysteresis], and only there")
         return self
 
     @classmethod
@@ -144,20 +199,24 @@ class CellParams(toml.Document):
         return pchip.interpolate(self.ocv.soc, self._ocv_row(temperature_degC), soc)
 
     def dynamics_at(self, soc: ArrayLike, temperature_degC: float) -> dict[str, Array]:
-        """`r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s, r0_knee_A` at SoC values in 0..1.
+        """`r0_ohm, r0_charge_ohm, r0_knee_A, r1_ohm, tau1_s` and so on at SoC values in 0..1, `hysteresis_V` last.
 
         Linear in SoC; between temperatures in log over 1/T (Arrhenius), held beyond the first and last.
         """
-        inverse_K = [1 / (T + ZERO_CELSIUS_K) for T in reversed(self.dynamics.temperature_degC)]
-        at = 1 / (temperature_degC + ZERO_CELSIUS_K)
+        dynamics = self.dynamics
         values = {}
-        for key, _, _ in _DYNAMICS_RANGES:
-            table = getattr(self.dynamics, key)
-            if table is None:
-                table = np.full_like(self.dynamics.r0_ohm, NO_KNEE_A)
-            log_rows = np.log(table)[::-1]
-            row = np.exp([np.interp(at, inverse_K, column) for column in log_rows.T])
-            values[key] = np.interp(np.asarray(soc, dtype=float), self.dynamics.soc, row)
+        for key in _DYNAMICS_RANGES:
+            table = getattr(dynamics, key)
+            if table is None and key == "r0_charge_ohm":
+                table = dynamics.r0_ohm
+            if table is None and key == "r0_knee_A":
+                table = np.full_like(dynamics.r0_ohm, NO_KNEE_A)
+            if table is not None:
+                row = np.exp(_row_at(dynamics.temperature_degC, np.log(table), temperature_degC))
+                values[key] = np.interp(soc, dynamics.soc, row)
+        if self.hysteresis is not None:
+            row = _row_at(self.hysteresis.temperature_degC, np.array(self.hysteresis.max_V), temperature_degC)
+            values["hysteresis_V"] = np.interp(soc, self.hysteresis.soc, row)
         return values
 
     def _ocv_row(self, temperature_degC: float) -> Array:
@@ -167,6 +226,13 @@ class CellParams(toml.Document):
             warmer = np.clip(temperature_degC, low, high) - self.ocv.temperature_degC[0]
             return np.asarray(rows[0] + warmer * np.asarray(self.ocv.docv_dT_V_per_K))
         return np.array([np.interp(temperature_degC, self.ocv.temperature_degC, column) for column in rows.T])
+
+
+def _row_at(temperatures: list[float], table: Array, temperature_degC: float) -> Array:
+    """The row of a table at a temperature: linear in 1/T, held at the edges."""
+    inverse_K = [1 / (T + ZERO_CELSIUS_K) for T in reversed(temperatures)]
+    at = 1 / (temperature_degC + ZERO_CELSIUS_K)
+    return np.array([np.interp(at, inverse_K, column) for column in table[::-1].T])
 
 
 def _require(condition: bool, expected: str) -> None:

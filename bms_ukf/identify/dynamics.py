@@ -1,0 +1,267 @@
+"""Fits the tables of the cell model to tests, by least squares of the open-loop voltage error.
+
+One structure after the other is fitted to half of the rows, in alternating blocks, and judged by the other half; the
+best is then fitted to all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+
+from bms_ukf import pchip
+from bms_ukf.identify import ocv
+from bms_ukf.identify.samples import Samples, at
+from bms_ukf.identify.simulate import Place, between, drop, lowpass
+from bms_ukf.identify.tables import OCV_SOC, SOC, ZERO_CELSIUS_K, Structure, Unknowns
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+SOC_ERROR = 0.005  # of the count: where the OCV is steep, a row says less
+SCALE_V = 1e-3  # residuals are in mV
+ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs, as rows of error
+KEPT = 2000  # rows of a test that enter the least squares
+BELOW_EMPTY, BELOW_EMPTY_V = -0.25, 0.25  # the OCV goes on below SoC 0, for a cell that holds less than it should
+BLOCK_SHARE = 1 / 24  # of a test, for the blocks that are left out in turn
+CORE_START = (2.0, 300.0)  # K/W, s
+
+
+class OcvRows:
+    """OCV and slope at every temperature row over SoC, before any correction: PCHIP, straight below empty."""
+
+    def __init__(self, rows_V: Sequence[Array]) -> None:
+        soc = np.concatenate([[BELOW_EMPTY], ocv.SOC])
+        self.knots = soc
+        self.cubics = np.stack(
+            [pchip.coefficients(soc, np.concatenate([[row[0] - BELOW_EMPTY_V], row])) for row in rows_V]
+        )
+
+    def __call__(self, row: NDArray[np.int64], soc: Array) -> tuple[Array, Array]:
+        """OCV, V, and its slope, V per unit of SoC, at rows of the table (same shape as `soc`)."""
+        soc = np.clip(soc, BELOW_EMPTY, 1.0)
+        k = np.clip(np.searchsorted(self.knots, soc, side="right") - 1, 0, self.knots.size - 2)
+        c, d = self.cubics[row, k], soc - self.knots[k]
+        value = c[..., 0] + d * (c[..., 1] + d * (c[..., 2] + d * c[..., 3]))
+        return value, c[..., 1] + d * (2 * c[..., 2] + d * 3 * c[..., 3])
+
+
+SPLINES = CubicSpline(OCV_SOC, np.eye(OCV_SOC.size), bc_type="natural")  # cardinal: one column for each knot
+
+
+@dataclass(slots=True)
+class Model:
+    """A fitted model, still in the fit's own terms."""
+
+    unknowns: Unknowns
+    ocv: OcvRows
+    capacity_Ah: float
+    x: Array
+    sigma: Array | None = None  # of x, one standard error
+    held_out_mV: dict[str, float] = field(default_factory=dict)  # error on rows left out, by structure
+
+    @property
+    def core(self) -> tuple[float, float] | None:
+        """K/W and s of the core temperature, the last two unknowns; None without."""
+        if not self.unknowns.structure.core:
+            return None
+        return float(np.exp(self.x[-2])), float(np.exp(self.x[-1]))
+
+    def simulate(self, test: Samples) -> Array:
+        """Predicted terminal voltage at every row, V."""
+        return self._run(self.x, test, 0)[0]
+
+    def _run(self, x: Array, test: Samples, stride: int) -> tuple[Array, Array]:
+        """Voltage, and its derivatives by the unknowns at every stride-th row (none for 0)."""
+        unknowns = self.unknowns
+        temperature_degC = test.temperature_degC + self._core_rise_K(x, test)
+        place = Place(
+            *between(-1000 / (temperature_degC + ZERO_CELSIUS_K), unknowns.inverse_K), *between(test.soc, SOC)
+        )
+        rows = slice(0, 0) if stride == 0 else slice(None, None, stride)
+        kept = np.arange(test.soc.size)[rows]
+        out = np.empty(test.soc.size)
+        by_table = np.empty((kept.size, np.prod(unknowns.shape) + 1))
+        rate = np.exp(x[unknowns.rate]) / (3600 * self.capacity_Ah) if unknowns.structure.hysteresis else 0.0
+        arguments = (test.step_s, test.current_A, test.current_at_end_A, place, unknowns.tables(x))
+        drop(*arguments, rate, max(stride, 1), out, by_table)
+        left, part = between(temperature_degC, unknowns.temperature_degC)
+        weights = np.zeros((test.soc.size, unknowns.temperature_degC.size))
+        np.put_along_axis(weights, left[:, None], (1 - part)[:, None], axis=1)
+        np.put_along_axis(weights, left[:, None] + 1, part[:, None], axis=1)
+        spline = SPLINES(np.clip(test.soc, 0, 1))
+        voltage_V = np.sum(spline * (weights @ unknowns.correction_V(x)), axis=1) - out
+        by_scale = np.zeros((kept.size, unknowns.temperature_degC.size))
+        scale = np.exp(x[unknowns.scale])
+        for column, share in ((left, 1 - part), (left + 1, part)):
+            drawn = (1 - test.soc) * scale[column]
+            value_V, slope = self.ocv(column, 1 - drawn)
+            voltage_V += share * value_V
+            by_scale[np.arange(kept.size), column[rows]] -= (share * slope * drawn)[rows]
+        if stride == 0:
+            return voltage_V, by_scale
+        by_ocv = (weights[rows][:, :, None] * spline[rows][:, None, :]).reshape(kept.size, -1)
+        columns = [-by_table[:, :-1] @ unknowns.to_tables, -by_table[:, -1:], by_ocv, by_scale]
+        for k in range(unknowns.size, x.size):
+            shifted = x.copy()
+            shifted[k] += 0.02
+            columns.append((self._run(shifted, test, 0)[0] - voltage_V)[rows, None] / 0.02)
+        return voltage_V, np.hstack(columns)
+
+    def _core_rise_K(self, x: Array, test: Samples) -> Array | float:
+        """Core above surface; its heat from the measured voltage."""
+        if not self.unknowns.structure.core:
+            return 0.0
+        row = np.argmin(np.abs(self.unknowns.temperature_degC - 25))
+        ocv_V, _ = self.ocv(np.full(test.soc.size, row), test.soc)
+        heat_W = test.current_A * (ocv_V - test.voltage_V)
+        return float(np.exp(x[-2])) * lowpass(test.step_s, heat_W, float(np.exp(x[-1])))
+
+
+def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lambda _: None) -> Model:
+    """The best model of the tests, given their OCV."""
+    temperature_degC = temperature_rows(tests)
+    hysteresis = _has_hysteresis(slow)
+
+    def build(structure: Structure) -> Model:
+        half = None
+        if structure.hysteresis:
+            rows = [slow.half_width_at(T) for T in temperature_degC]
+            half = np.array([np.interp(SOC, ocv.SOC, row) for row in rows if row is not None])
+        unknowns = Unknowns(structure, temperature_degC, slow.capacity_Ah, half)
+        start = unknowns.start
+        if structure.core:
+            start = np.concatenate([start, np.log(CORE_START)])
+        return Model(unknowns, OcvRows([slow.at(T) for T in temperature_degC]), slow.capacity_Ah, start)
+
+    train, judge = _alternate(tests, 0), _alternate(tests, 1)
+    held_out_mV: dict[str, float] = {}
+    best: Model | None = None
+    candidates = [Structure(pairs, hysteresis=hysteresis) for pairs in (2, 3)]
+    for structure in candidates:
+        best = _better(best, build(structure), train, judge, held_out_mV, progress)
+    assert best is not None
+    warmed = Structure(best.unknowns.structure.pairs, core=True, hysteresis=hysteresis)
+    best = _better(best, build(warmed), train, judge, held_out_mV, progress)
+    progress(f"fitting {best.unknowns.structure} to all")
+    model = fit(best, tests, evaluations=30, kept=KEPT)
+    model.held_out_mV = held_out_mV
+    return model
+
+
+def temperature_rows(tests: Sequence[Samples]) -> Array:
+    """Rows of the tables, degC: the temperatures of the tests, and one as warm as any of them became."""
+    rows = sorted({float(test.test.temperature_degC) for test in tests})
+    warmest = max(float(np.quantile(test.temperature_degC, 0.999)) for test in tests)
+    if warmest > rows[-1] + 4 or len(rows) == 1:
+        rows.append(max(5 * np.ceil(warmest / 5), rows[-1] + 5))
+    return np.array(rows)
+
+
+def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int) -> Model:
+    """`model` fitted to the counted rows of the tests, from where it stands."""
+    strides = [max(1, test.soc.size // kept) for test in tests]
+    weights = [_weights(model, test, stride) for test, stride in zip(tests, strides, strict=True)]
+    unknowns = model.unknowns
+    extra = model.x.size - unknowns.size
+    prior = np.hstack([unknowns.prior, np.zeros((len(unknowns.prior), extra))])
+    target = unknowns.prior_target
+    if extra:  # a core temperature: its logarithms near the start
+        prior = np.vstack([prior, 30.0 * np.eye(model.x.size)[-extra:]])
+        target = np.concatenate([target, 30.0 * np.log(CORE_START)])
+
+    def residuals(x: Array) -> Array:
+        errors = [
+            ((model._run(x, test, 0)[0] - test.voltage_V)[::stride] / SCALE_V) * weight
+            for test, stride, weight in zip(tests, strides, weights, strict=True)
+        ]
+        return np.concatenate([*errors, prior @ x - target])
+
+    def jacobian(x: Array) -> Array:
+        blocks = [
+            model._run(x, test, stride)[1] * (weight / SCALE_V)[:, None]
+            for test, stride, weight in zip(tests, strides, weights, strict=True)
+        ]
+        return np.vstack([*blocks, prior])
+
+    lower, upper = bounds(model)
+    start = np.clip(model.x, lower + 1e-6, upper - 1e-6)
+    found = least_squares(
+        residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-3, max_nfev=evaluations
+    )
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    data = found.fun[: -len(prior)]
+    # Errors of a model are correlated: as many independent ones as blocks would be too few, as rows too many.
+    variance = max(1.0, float(np.sum(data**2)) / max(sum(float(np.sum(w > 0)) for w in weights) / 30, 1.0))
+    sigma = np.sqrt(np.diag(covariance) * variance)
+    return Model(unknowns, model.ocv, model.capacity_Ah, found.x, sigma, dict(model.held_out_mV))
+
+
+def bounds(model: Model) -> tuple[Array, Array]:
+    """Wide limits in which the numbers stay physical, and the time constants in order."""
+    lower, upper = np.full(model.x.size, -np.inf), np.full(model.x.size, np.inf)
+    unknowns = model.unknowns
+    for columns, low, high in unknowns.limits():
+        lower[columns], upper[columns] = low, high
+    return lower, upper
+
+
+def error_mV(model: Model, tests: Sequence[Samples], low: float = 0.1, high: float = 0.9) -> list[float]:
+    """Root mean square error on the counted rows between two SoC, for each test; NaN if there are none."""
+    found = []
+    for test in tests:
+        error = (model.simulate(test) - test.voltage_V)[test.counted & (test.soc > low) & (test.soc < high)]
+        found.append(1e3 * float(np.sqrt(np.mean(error**2))) if error.size else float("nan"))
+    return found
+
+
+def _better(
+    best: Model | None,
+    model: Model,
+    train: Sequence[Samples],
+    judge: Sequence[Samples],
+    held_out_mV: dict[str, float],
+    progress: Progress,
+) -> Model:
+    """`model` if its error on rows left out is at least a twentieth smaller than that of `best`."""
+    name = str(model.unknowns.structure)
+    progress(f"trying {name}")
+    model = fit(model, train, evaluations=10, kept=KEPT // 3)
+    held_out_mV[name] = float(np.nanmean(error_mV(model, judge)))
+    if best is None or held_out_mV[name] < 0.95 * held_out_mV[str(best.unknowns.structure)]:
+        return model
+    return best
+
+
+def _alternate(tests: Sequence[Samples], phase: int) -> list[Samples]:
+    """The tests with every other block of their counted rows counting."""
+    chosen = []
+    for test in tests:
+        block = (test.time_s / (test.time_s[-1] * BLOCK_SHARE)).astype(int)
+        chosen.append(at(test, test.counted & (block % 2 == phase)))
+    return chosen
+
+
+def _weights(model: Model, test: Samples, stride: int) -> Array:
+    """What every stride-th row's error in mV weighs; a test's squares sum to its `ROWS` on a flat OCV."""
+    _, slope = model.ocv(np.zeros(test.soc.size, dtype=np.int64), test.soc)
+    weight = test.counted / np.hypot(1.0, SOC_ERROR * slope / 0.01)
+    kept = weight[::stride]
+    share = float(np.mean(test.test.part[1] - test.test.part[0]))
+    count = max(np.count_nonzero(test.counted[::stride]), 1)
+    return np.asarray(kept * np.sqrt(share * ROWS[test.test.role] / count))
+
+
+def _has_hysteresis(slow: ocv.Slow) -> bool:
+    """Whether the branches are further apart than the resistance of a cell explains, near 25 degC."""
+    half = slow.half_width_at(25.0)
+    if half is None:
+        return False
+    current_A = min(slow.curves, key=lambda curve: abs(curve.temperature_degC - 25)).current_A
+    plateau = (ocv.SOC > 0.1) & (ocv.SOC < 0.9)
+    return bool(np.median(half[plateau]) > 2 * current_A * 0.1 / slow.capacity_Ah)

@@ -1,0 +1,196 @@
+"""Open-circuit voltage from slow tests: branches, their mean, hysteresis and capacity, per temperature.
+
+The curve is the least-squares fit of a smooth and strictly rising one: its unknowns are the rises between neighbouring
+knots, each bounded below, so that no monotone repair is needed afterwards. A running maximum would bend the curve
+wherever noise makes it fall, which on a plateau costs several times the error in SoC.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from bms_ukf.errors import ConfigError
+from bms_ukf.manifest import Manifest, Test
+from bms_ukf.recordings import Recording
+
+Array = NDArray[np.float64]
+
+SOC = np.unique(np.round(np.concatenate([np.linspace(0, 0.1, 21), np.linspace(0.1, 0.9, 81), np.linspace(0.9, 1, 21)]), 4))
+LEAST_SLOPE_V = 2e-3  # per unit of SoC: flat enough for any plateau, and strictly rising
+CLOSES = 0.90  # a charge branch that reaches the upper limit below this SoC has lost count, or the cell its capacity
+SMOOTHING = 2e-4  # V: what a kink of 1 V per unit SoC and knot costs, against 1 V of misfit
+
+
+@dataclass(slots=True)
+class Curve:
+    """The slow test of one temperature; arrays over `SOC`."""
+
+    temperature_degC: float
+    voltage_V: Array  # mean of the branches, or the one there is
+    sigma_V: Array
+    half_width_V: Array | None  # half of charge branch minus discharge branch; None with one branch only
+    current_A: float  # size of the current
+    directions: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class Slow:
+    """What the slow tests say together."""
+
+    capacity_Ah: float
+    curves: list[Curve]  # by temperature
+    drawn_Ah: dict[float, float] = field(default_factory=dict)  # full to lower limit, by temperature
+    warnings: list[str] = field(default_factory=list)
+
+    def at(self, temperature_degC: float) -> Array:
+        """OCV over `SOC`: linear between the tests' temperatures, held beyond."""
+        rows = np.array([curve.voltage_V for curve in self.curves])
+        knots = [curve.temperature_degC for curve in self.curves]
+        return np.array([np.interp(temperature_degC, knots, column) for column in rows.T])
+
+    def half_width_at(self, temperature_degC: float) -> Array | None:
+        """Half the width between the branches over `SOC`; None if no test has both."""
+        both = [curve for curve in self.curves if curve.half_width_V is not None]
+        if not both:
+            return None
+        rows = np.array([curve.half_width_V for curve in both])
+        return np.array([np.interp(temperature_degC, [c.temperature_degC for c in both], column) for column in rows.T])
+
+    @property
+    def entropic_V_per_K(self) -> Array | None:
+        """dOCV/dT over `SOC`, by least squares over the tests' temperatures; None with a single one."""
+        if len(self.curves) < 2:
+            return None
+        rows = np.array([curve.voltage_V for curve in self.curves])
+        return np.asarray(np.polyfit([curve.temperature_degC for curve in self.curves], rows, 1)[0])
+
+
+def analyse(tests: Manifest, recordings: Sequence[tuple[Test, Recording]], source: str) -> Slow:
+    """Curves of all `ocv` tests. Raises ConfigError if they give no capacity or no curve."""
+    branches: dict[float, dict[str, list[tuple[float, Array, Array, float]]]] = {}
+    drawn_Ah: dict[float, float] = {}
+    warnings: list[str] = []
+    for test, recording in recordings:
+        for direction, charge_Ah, voltage_V, size_A in _runs(recording):
+            if test.direction in (None, direction):
+                runs = branches.setdefault(test.temperature_degC, {}).setdefault(direction, [])
+                start = test.initial_soc if test.initial_soc is not None else float(direction == "discharge")
+                runs.append((start, charge_Ah, voltage_V, size_A))
+    for temperature, found in branches.items():
+        for _, charge_Ah, voltage_V, _ in found.get("discharge", []):
+            if voltage_V[-1] < tests.voltage_limits_V[0] + 0.15:
+                drawn_Ah[temperature] = max(drawn_Ah.get(temperature, 0.0), charge_Ah[-1])
+    capacity_Ah = tests.capacity_Ah or _capacity(drawn_Ah, source)
+    _compare_capacity(tests, drawn_Ah, source, warnings)
+    curves = [
+        _curve(temperature, found, capacity_Ah, tests, warnings) for temperature, found in sorted(branches.items())
+    ]
+    if not curves:
+        raise ConfigError(source, key="test", expected="a test of role 'ocv' with a full charge or discharge in it")
+    return Slow(capacity_Ah, curves, drawn_Ah, warnings)
+
+
+def rising(soc: Array, voltage_V: Array, weight: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:
+    """The smooth, strictly rising curve over `SOC` nearest to points of it, and its standard error.
+
+    Unknowns are the value at 0 and the rises from knot to knot; the rises have a lower bound.
+    """
+    index = np.clip(np.searchsorted(SOC, soc, side="right") - 1, 0, SOC.size - 2)
+    share = np.clip((soc - SOC[index]) / (SOC[index + 1] - SOC[index]), 0, 1)
+    design = (np.arange(SOC.size) <= index[:, None]).astype(float)  # 1 for the value at 0 and every rise passed
+    design[np.arange(soc.size), index + 1] = share
+    step = np.diff(SOC)
+    slope = np.diag(1 / step)
+    kink = np.diff(slope, axis=0) * smoothing * np.sqrt(soc.size)
+    kink = np.hstack([np.zeros((len(kink), 1)), kink])
+    system = np.vstack([design * weight[:, None], kink])
+    lower = np.concatenate([[-np.inf], LEAST_SLOPE_V * step])
+    target = np.concatenate([voltage_V * weight, np.zeros(len(kink))])
+    fitted = lsq_linear(system, target, bounds=(lower, np.full(SOC.size, np.inf)), method="bvls", tol=1e-9).x
+    residual_V = float(np.sqrt(np.mean((design @ fitted - voltage_V) ** 2 * weight**2)))
+    covariance = np.linalg.pinv(system.T @ system)
+    to_voltage = np.tril(np.ones((SOC.size, SOC.size)))
+    sigma_V = residual_V * np.sqrt(np.maximum(np.diag(to_voltage @ covariance @ to_voltage.T), 0))
+    return np.cumsum(fitted), np.asarray(sigma_V)
+
+
+def _runs(recording: Recording) -> list[tuple[str, Array, Array, float]]:
+    """Stretches of one direction that move at least a third of all charge: direction, charge moved, voltage, current."""
+    busy = np.abs(recording.current_A) > 0.1 * np.abs(recording.current_A).max()
+    sign = np.where(busy, np.sign(recording.current_A), 0)
+    edges = np.flatnonzero(np.diff(sign, prepend=0, append=0))
+    whole = np.abs(np.diff(recording.drawn_Ah)).sum()
+    runs = []
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        charge_Ah = np.abs(recording.drawn_Ah[start:end] - recording.drawn_Ah[max(start - 1, 0)])
+        if sign[start] and end - start > 20 and charge_Ah[-1] > whole / 3:
+            direction = "discharge" if sign[start] > 0 else "charge"
+            size_A = float(np.median(np.abs(recording.current_A[start:end])))
+            runs.append((direction, charge_Ah, recording.voltage_V[start:end], size_A))
+    return runs
+
+
+def _capacity(drawn_Ah: dict[float, float], source: str) -> float:
+    if not drawn_Ah:
+        expected = "capacity_Ah, or an ocv test that discharges from full to the lower voltage limit"
+        raise ConfigError(source, key="capacity_Ah", expected=expected)
+    return drawn_Ah[min(drawn_Ah, key=lambda temperature: abs(temperature - 25))]
+
+
+def _compare_capacity(tests: Manifest, drawn_Ah: dict[float, float], source: str, warnings: list[str]) -> None:
+    """A stated capacity that is off by a factor is refused; a few percent are worth a warning."""
+    if tests.capacity_Ah is None or not drawn_Ah:
+        return
+    warmest = _capacity(drawn_Ah, source)
+    if not 0.7 < warmest / tests.capacity_Ah < 1.4:
+        expected = f"about the {warmest:.4g} Ah that the slow discharge gave"
+        raise ConfigError(source, key="capacity_Ah", value=tests.capacity_Ah, expected=expected)
+    if abs(warmest / tests.capacity_Ah - 1) > 0.03:
+        warnings.append(f"capacity_Ah is {tests.capacity_Ah:g}, but the slow discharge gave {warmest:.4g} Ah")
+
+
+def _curve(
+    temperature_degC: float,
+    branches: dict[str, list[tuple[float, Array, Array, float]]],
+    capacity_Ah: float,
+    tests: Manifest,
+    warnings: list[str],
+) -> Curve:
+    fitted: dict[str, tuple[Array, Array, Array]] = {}
+    sizes_A = []
+    for direction, runs in branches.items():
+        start, charge_Ah, voltage_V, size_A = max(runs, key=lambda run: float(run[1][-1]))
+        soc = start + (charge_Ah if direction == "charge" else -charge_Ah) / capacity_Ah
+        full = voltage_V[-1] > tests.voltage_limits_V[1] - 0.03
+        if direction == "charge" and full and soc[-1] < CLOSES and "discharge" in branches:
+            warnings.append(
+                f"OCV at {temperature_degC:g} degC: the charge reached the upper limit after {100 * soc[-1]:.0f} % of the"
+                " capacity drawn before; only the discharge is used (ageing, or lost count?)"
+            )
+            continue
+        span = (float(soc.min()), float(soc.max()))
+        if span[0] > 0.05 or span[1] < 0.95:
+            warnings.append(
+                f"OCV at {temperature_degC:g} degC, {direction}: covers SoC {span[0]:.2f} to {span[1]:.2f} only"
+            )
+        inside = (soc > -0.02) & (soc < 1.02)
+        curve, sigma = rising(soc[inside], voltage_V[inside], np.ones(inside.sum()))
+        covered = (span[0] - 0.005 <= SOC) & (span[1] + 0.005 >= SOC)
+        fitted[direction] = (curve, sigma, covered)
+        sizes_A.append(size_A)
+    directions = tuple(sorted(fitted))
+    if len(fitted) < 2:
+        curve, sigma, _ = fitted[directions[0]]
+        return Curve(temperature_degC, curve, sigma, None, sizes_A[0], directions)
+    up, down = fitted["charge"], fitted["discharge"]
+    both = up[2] & down[2]
+    half = np.interp(SOC, SOC[both], (up[0] - down[0])[both] / 2)
+    # Where only one branch reaches, the other is as far from it as where both end.
+    middle = np.where(down[2], down[0] + half, up[0] - half)
+    mean, _ = rising(SOC, middle, np.ones(SOC.size), smoothing=SMOOTHING / 10)
+    return Curve(temperature_degC, mean, np.hypot(up[1], down[1]) / 2, half, float(np.mean(sizes_A)), directions)

@@ -1,0 +1,171 @@
+"""The unknowns of the fit and what is believed of them before any data: where they stand, and how smooth they are.
+
+One vector holds, in this order: the logarithms of the tables (some over SoC and temperature, some over temperature
+only), the log of the hysteresis rate, corrections of the OCV, and the log of how much faster than counted the SoC
+falls, by temperature. Beliefs are linear: rows of a matrix B and targets b, with B x - b in units of one millivolt of
+misfit, so that they decide only where the recordings say little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bms_ukf.identify.simulate import HYSTERESIS, KNEE, R0, R0_CHARGE, R1
+
+Array = NDArray[np.float64]
+ZERO_CELSIUS_K = 273.15
+
+SOC = np.array([0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+OCV_SOC = np.linspace(0, 1, 14)
+ACTIVATION_K = 3000.0  # r ~ exp(ACTIVATION_K / T): about 25 kJ/mol, what cells show between 0 and 40 degC
+
+TAU_START_S = (10.0, 100.0, 1000.0)
+TAU_LIMITS_S = ((0.3, 25.0), (25.0, 200.0), (200.0, 2e4))  # apart: the faster first, at any temperature
+RATE_START = 50.0  # hysteresis: a branch is reached after some 2 % of SoC
+LEAST_HYSTERESIS_V = 1e-4
+
+# How strongly, in mV for a change of 1 in a logarithm: kink from SoC knot to knot, kink over 1000/T, step between
+# neighbouring temperatures off the Arrhenius line, the same for what should hardly depend on temperature, level, rate.
+KINK_SOC, KINK_T, ARRHENIUS, HELD, LEVEL, RATE = 30.0, 9.0, 3.0, 30.0, 1.0, 20.0
+# OCV correction: mV per mV of kink, of size and of difference between neighbouring temperatures.
+OCV_KINK, OCV_SIZE, OCV_BETWEEN = 30.0, 2.7, 1.0
+# SoC scale: mV per unit of log scale, of kink over 1000/T, of difference between neighbouring temperatures.
+SCALE_SIZE, SCALE_KINK, SCALE_BETWEEN = 100.0, 100.0, 300.0
+
+
+@dataclass(slots=True, frozen=True)
+class Structure:
+    """What the model has; chosen by the error on rows left out of the fit."""
+
+    pairs: int
+    core: bool = False
+    hysteresis: bool = False
+
+    def __str__(self) -> str:
+        parts = [f"{self.pairs} RC"]
+        parts += ["hysteresis"] if self.hysteresis else []
+        return ", ".join([*parts, "core temperature"] if self.core else parts)
+
+
+class Unknowns:
+    """The vector of unknowns for a structure, as linear maps: to the tables, and to what is believed of it.
+
+    tables = (to_tables @ x[:n_tables] + offset) in logarithms, shape (channels, temperatures, soc). After the tables
+    come the log of the hysteresis rate (as charge / capacity; there even without hysteresis), the OCV corrections,
+    shape (temperatures, OCV_SOC), V, and the log of the SoC scale, shape (temperatures,).
+    """
+
+    def __init__(
+        self, structure: Structure, temperature_degC: Array, capacity_Ah: float, half_width_V: Array | None
+    ) -> None:
+        self.structure = structure
+        self.temperature_degC = temperature_degC
+        self.inverse_K = -1000 / (temperature_degC + ZERO_CELSIUS_K)
+        self.shape = (R1 + 2 * structure.pairs, temperature_degC.size, SOC.size)
+        self._maps: list[Array] = []
+        self._limits: list[tuple[slice, float, float]] = []
+        self._starts: list[Array] = []
+        self._beliefs: list[tuple[int, Array, Array]] = []  # first column, rows of the matrix, targets
+        self.offset = np.zeros(self.shape)
+
+        # With r ~ 0.1 V / capacity at 25 degC; the knee moves against the resistance.
+        arrhenius = ACTIVATION_K / 1000 * (-self.inverse_K - 1000 / (25 + ZERO_CELSIUS_K))
+        r_start = np.log(0.1 / capacity_Ah) + arrhenius
+        least, most = 1e-4 / capacity_Ah, 100.0 / capacity_Ah  # ohm
+        self._table((R0, R0_CHARGE), r_start, (least, most), over_soc=True)
+        self._table((R0_CHARGE,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True)
+        knee = np.log(2.0 * capacity_Ah) - arrhenius
+        self._table((KNEE,), knee, (0.02 * capacity_Ah, 1000 * capacity_Ah), over_soc=False)
+        if half_width_V is not None:
+            self.offset[HYSTERESIS] = np.log(np.maximum(half_width_V, LEAST_HYSTERESIS_V))
+            self._table((HYSTERESIS,), np.zeros_like(arrhenius), (0.2, 3.0), over_soc=False, held=True)
+        for j in range(structure.pairs):
+            self._table((R1 + 2 * j,), r_start - 0.7, (least, most), over_soc=True)
+            tau = np.full_like(arrhenius, np.log(TAU_START_S[j]))
+            self._table((R1 + 2 * j + 1,), tau, TAU_LIMITS_S[j], over_soc=False, held=True)
+        self.to_tables = np.hstack(self._maps)
+        self.n_tables = self.to_tables.shape[1]
+        self.rate = self.n_tables
+        self.ocv = slice(self.rate + 1, self.rate + 1 + temperature_degC.size * OCV_SOC.size)
+        self.scale = slice(self.ocv.stop, self.ocv.stop + temperature_degC.size)
+        self.size = self.scale.stop
+        self._believe_the_rest()
+        self.start = np.concatenate([*self._starts, np.zeros(self.size - self.n_tables)])
+        self.start[self.rate] = np.log(RATE_START)
+        self.prior = np.zeros((sum(len(rows) for _, rows, _ in self._beliefs), self.size))
+        self.prior_target = np.concatenate([target for _, _, target in self._beliefs])
+        row = 0
+        for first, rows, _ in self._beliefs:
+            self.prior[row : row + len(rows), first : first + rows.shape[1]] = rows
+            row += len(rows)
+
+    def tables(self, x: Array) -> Array:
+        """Logarithms of all tables, shape (channels, temperatures, soc)."""
+        return np.asarray(self.offset + (self.to_tables @ x[: self.n_tables]).reshape(self.shape))
+
+    def limits(self) -> list[tuple[slice, float, float]]:
+        """Columns of the vector and the range they stay in."""
+        return [*self._limits, (slice(self.rate, self.rate + 1), np.log(2.0), np.log(2000.0))]
+
+    def correction_V(self, x: Array) -> Array:
+        """Correction of the OCV at `OCV_SOC`, shape (temperatures, OCV_SOC)."""
+        return x[self.ocv].reshape(-1, OCV_SOC.size)
+
+    def _table(
+        self,
+        channels: tuple[int, ...],
+        start: Array,
+        limits: tuple[float, float],
+        *,
+        over_soc: bool,
+        held: bool = False,
+    ) -> None:
+        """Unknowns of a table, over temperature and perhaps SoC, and what is believed of them.
+
+        `held`: the table is near its neighbour in temperature; else it is near an Arrhenius line of the start's slope.
+        """
+        _, rows, knots = self.shape
+        along_soc = np.eye(knots) if over_soc else np.ones((knots, 1))
+        one = np.kron(np.eye(rows), along_soc)
+        to_tables = np.zeros((np.prod(self.shape), one.shape[1]))
+        for channel in channels:
+            to_tables[channel * rows * knots : (channel + 1) * rows * knots] += one
+        first = sum(part.size for part in self._starts)
+        self._maps.append(to_tables)
+        low, high = np.log(limits)
+        self._limits.append((slice(first, first + one.shape[1]), low, high))
+        self._starts.append(np.repeat(start, along_soc.shape[1]))
+        each = np.eye(along_soc.shape[1])
+        self._believe(first, KINK_T * np.kron(second_difference(self.inverse_K), each))
+        difference = np.kron(np.diff(np.eye(rows), axis=0), each)
+        strength = HELD if held else ARRHENIUS
+        self._believe(first, strength * difference, strength * difference @ self._starts[-1])
+        self._believe(first, LEVEL * np.eye(one.shape[1]), LEVEL * self._starts[-1])
+        if over_soc:
+            self._believe(first, KINK_SOC * np.kron(np.eye(rows), np.diff(np.eye(knots), 2, axis=0)))
+
+    def _believe_the_rest(self) -> None:
+        rows = self.temperature_degC.size
+        between, kink_T = np.diff(np.eye(rows), axis=0), second_difference(self.inverse_K)
+        self._believe(self.rate, np.full((1, 1), RATE), np.full(1, RATE * np.log(RATE_START)))
+        each = np.eye(OCV_SOC.size)
+        for matrix in (
+            OCV_KINK * np.kron(np.eye(rows), np.diff(each, 2, axis=0)),
+            OCV_SIZE * np.eye(rows * OCV_SOC.size),
+            OCV_BETWEEN * np.kron(between, each),
+        ):
+            self._believe(self.ocv.start, 1e3 * matrix)
+        for matrix in (SCALE_SIZE * np.eye(rows), SCALE_KINK * kink_T, SCALE_BETWEEN * between):
+            self._believe(self.scale.start, matrix)
+
+    def _believe(self, first: int, rows: Array, target: Array | None = None) -> None:
+        self._beliefs.append((first, rows, np.zeros(len(rows)) if target is None else target))
+
+
+def second_difference(x: Array) -> Array:
+    """Rows that give the change of slope at every inner knot of an uneven grid, shape (n - 2, n)."""
+    slopes = np.diff(np.eye(x.size), axis=0) / np.diff(x)[:, None]
+    return np.diff(slopes, axis=0)
