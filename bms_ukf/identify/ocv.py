@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 SOC = np.unique(np.round(np.concatenate([np.linspace(0, 0.1, 21), np.linspace(0.1, 0.9, 81), np.linspace(0.9, 1, 21)]), 4))
 LEAST_SLOPE_V = 2e-3  # per unit of SoC: flat enough for any plateau, and strictly rising
 CLOSES = 0.90  # a charge branch that reaches the upper limit below this SoC has lost count, or the cell its capacity
+SAME = 0.05  # two counts of the same capacity agree within this share
 SMOOTHING = 2e-4  # V: what a kink of 1 V per unit SoC and knot costs, against 1 V of misfit
 
 
@@ -36,6 +37,17 @@ class Curve:
     half_width_V: Array | None  # half of charge branch minus discharge branch; None with one branch only
     current_A: float  # size of the current
     directions: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class Run:
+    """One stretch of one direction."""
+
+    direction: str
+    start_soc: float
+    moved_Ah: Array  # shape (n,), rising from 0
+    voltage_V: Array  # shape (n,)
+    size_A: float
 
 
 @dataclass(slots=True)
@@ -53,13 +65,14 @@ class Slow:
         knots = [curve.temperature_degC for curve in self.curves]
         return np.array([np.interp(temperature_degC, knots, column) for column in rows.T])
 
-    def half_width_at(self, temperature_degC: float) -> Array | None:
-        """Half the width between the branches over `SOC`; None if no test has both."""
-        both = [curve for curve in self.curves if curve.half_width_V is not None]
-        if not both:
-            return None
-        rows = np.array([curve.half_width_V for curve in both])
-        return np.array([np.interp(temperature_degC, [c.temperature_degC for c in both], column) for column in rows.T])
+    @property
+    def half_width_V(self) -> Array | None:
+        """Half the width between the branches over `SOC`, without what the current's polarisation adds in the cold.
+
+        The narrowest over the temperatures. None if no test has both branches.
+        """
+        both = [curve.half_width_V for curve in self.curves if curve.half_width_V is not None]
+        return np.maximum(np.min(both, axis=0), 0.0) if both else None
 
     @property
     def entropic_V_per_K(self) -> Array | None:
@@ -72,30 +85,36 @@ class Slow:
 
 def analyse(tests: Manifest, recordings: Sequence[tuple[Test, Recording]], source: str) -> Slow:
     """Curves of all `ocv` tests. Raises ConfigError if they give no capacity or no curve."""
-    branches: dict[float, dict[str, list[tuple[float, Array, Array, float]]]] = {}
-    drawn_Ah: dict[float, float] = {}
+    branches: dict[float, dict[str, Run]] = {}
     warnings: list[str] = []
     for test, recording in recordings:
-        for direction, charge_Ah, voltage_V, size_A in _runs(recording):
-            if test.direction in (None, direction):
-                runs = branches.setdefault(test.temperature_degC, {}).setdefault(direction, [])
-                start = test.initial_soc if test.initial_soc is not None else float(direction == "discharge")
-                runs.append((start, charge_Ah, voltage_V, size_A))
-    for temperature, found in branches.items():
-        for _, charge_Ah, voltage_V, _ in found.get("discharge", []):
-            if voltage_V[-1] < tests.voltage_limits_V[0] + 0.15:
-                drawn_Ah[temperature] = max(drawn_Ah.get(temperature, 0.0), charge_Ah[-1])
+        for run in _runs(recording, test):
+            if test.direction in (None, run.direction):
+                found = branches.setdefault(test.temperature_degC, {})
+                if run.direction not in found or run.moved_Ah[-1] > found[run.direction].moved_Ah[-1]:
+                    found[run.direction] = run
+    if not branches:
+        raise ConfigError(source, key="test", expected="a test of role 'ocv' with a full charge or discharge in it")
+    low, high = tests.voltage_limits_V
+    drawn_Ah = {
+        T: float(found["discharge"].moved_Ah[-1])
+        for T, found in sorted(branches.items())
+        if "discharge" in found and found["discharge"].voltage_V[-1] < low + 0.15
+    }
     capacity_Ah = tests.capacity_Ah or _capacity(drawn_Ah, source)
     _compare_capacity(tests, drawn_Ah, source, warnings)
-    curves = [
-        _curve(temperature, found, capacity_Ah, tests, warnings) for temperature, found in sorted(branches.items())
-    ]
-    if not curves:
-        raise ConfigError(source, key="test", expected="a test of role 'ocv' with a full charge or discharge in it")
-    return Slow(capacity_Ah, curves, drawn_Ah, warnings)
+    curves = []
+    for T, found in sorted(branches.items()):
+        curve = _curve(T, found, _counts(branches, drawn_Ah, capacity_Ah), high, warnings)
+        curves.append(curve)
+    both = [curve for curve in curves if curve.half_width_V is not None]
+    for curve in curves if both else []:
+        if curve.half_width_V is None:
+            warnings.append(f"OCV at {curve.temperature_degC:g} degC left out: other temperatures have both branches")
+    return Slow(capacity_Ah, both or curves, drawn_Ah, warnings)
 
 
-def rising(soc: Array, voltage_V: Array, weight: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:
+def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:
     """The smooth, strictly rising curve over `SOC` nearest to points of it, and its standard error.
 
     Unknowns are the value at 0 and the rises from knot to knot; the rises have a lower bound.
@@ -108,31 +127,51 @@ def rising(soc: Array, voltage_V: Array, weight: Array, *, smoothing: float = SM
     slope = np.diag(1 / step)
     kink = np.diff(slope, axis=0) * smoothing * np.sqrt(soc.size)
     kink = np.hstack([np.zeros((len(kink), 1)), kink])
-    system = np.vstack([design * weight[:, None], kink])
+    system = np.vstack([design, kink])
     lower = np.concatenate([[-np.inf], LEAST_SLOPE_V * step])
-    target = np.concatenate([voltage_V * weight, np.zeros(len(kink))])
+    target = np.concatenate([voltage_V, np.zeros(len(kink))])
     fitted = lsq_linear(system, target, bounds=(lower, np.full(SOC.size, np.inf)), method="bvls", tol=1e-9).x
-    residual_V = float(np.sqrt(np.mean((design @ fitted - voltage_V) ** 2 * weight**2)))
+    residual_V = float(np.sqrt(np.mean((design @ fitted - voltage_V) ** 2)))
     covariance = np.linalg.pinv(system.T @ system)
     to_voltage = np.tril(np.ones((SOC.size, SOC.size)))
     sigma_V = residual_V * np.sqrt(np.maximum(np.diag(to_voltage @ covariance @ to_voltage.T), 0))
     return np.cumsum(fitted), np.asarray(sigma_V)
 
 
-def _runs(recording: Recording) -> list[tuple[str, Array, Array, float]]:
-    """Stretches of one direction that move at least a third of all charge: direction, charge moved, voltage, current."""
+def _runs(recording: Recording, test: Test) -> list[Run]:
+    """Stretches of one direction that move at least a third of all charge."""
     busy = np.abs(recording.current_A) > 0.1 * np.abs(recording.current_A).max()
     sign = np.where(busy, np.sign(recording.current_A), 0)
     edges = np.flatnonzero(np.diff(sign, prepend=0, append=0))
-    whole = np.abs(np.diff(recording.drawn_Ah)).sum()
+    whole_Ah = np.abs(np.diff(recording.drawn_Ah)).sum()
     runs = []
     for start, end in zip(edges[:-1], edges[1:], strict=True):
-        charge_Ah = np.abs(recording.drawn_Ah[start:end] - recording.drawn_Ah[max(start - 1, 0)])
-        if sign[start] and end - start > 20 and charge_Ah[-1] > whole / 3:
+        moved_Ah = np.abs(recording.drawn_Ah[start:end] - recording.drawn_Ah[max(start - 1, 0)])
+        if sign[start] and end - start > 20 and moved_Ah[-1] > whole_Ah / 3:
             direction = "discharge" if sign[start] > 0 else "charge"
+            given = test.initial_soc if start == edges[0] else None
+            start_soc = given if given is not None else float(direction == "discharge")
             size_A = float(np.median(np.abs(recording.current_A[start:end])))
-            runs.append((direction, charge_Ah, recording.voltage_V[start:end], size_A))
+            runs.append(Run(direction, start_soc, moved_Ah, recording.voltage_V[start:end], size_A))
     return runs
+
+
+def _counts(branches: dict[float, dict[str, Run]], drawn_Ah: dict[float, float], capacity_Ah: float) -> dict[str, float]:
+    """Charge of the slow tests that is a SoC of 1, by direction, Ah.
+
+    A slow test counts by itself: from full to the lower limit at about 25 degC is all there is, and so is what brings
+    the cell back to the upper limit, whatever capacity another cell or another day has.
+    """
+    counts = dict.fromkeys(("discharge", "charge"), capacity_Ah)
+    if not drawn_Ah:
+        return counts
+    nearest = min(drawn_Ah, key=lambda temperature: abs(temperature - 25))
+    if abs(nearest - 25) < 10 and abs(drawn_Ah[nearest] / capacity_Ah - 1) < SAME:
+        counts = dict.fromkeys(counts, drawn_Ah[nearest])
+        back = branches[nearest].get("charge")
+        if back is not None and abs(back.moved_Ah[-1] / drawn_Ah[nearest] - 1) < SAME:
+            counts["charge"] = float(back.moved_Ah[-1])
+    return counts
 
 
 def _capacity(drawn_Ah: dict[float, float], source: str) -> float:
@@ -155,42 +194,34 @@ def _compare_capacity(tests: Manifest, drawn_Ah: dict[float, float], source: str
 
 
 def _curve(
-    temperature_degC: float,
-    branches: dict[str, list[tuple[float, Array, Array, float]]],
-    capacity_Ah: float,
-    tests: Manifest,
-    warnings: list[str],
+    temperature_degC: float, branches: dict[str, Run], counts_Ah: dict[str, float], upper_V: float, warnings: list[str]
 ) -> Curve:
-    fitted: dict[str, tuple[Array, Array, Array]] = {}
-    sizes_A = []
-    for direction, runs in branches.items():
-        start, charge_Ah, voltage_V, size_A = max(runs, key=lambda run: float(run[1][-1]))
-        soc = start + (charge_Ah if direction == "charge" else -charge_Ah) / capacity_Ah
-        full = voltage_V[-1] > tests.voltage_limits_V[1] - 0.03
-        if direction == "charge" and full and soc[-1] < CLOSES and "discharge" in branches:
+    fitted: dict[str, tuple[Array, Array, NDArray[np.bool_]]] = {}
+    for direction, run in branches.items():
+        soc = run.start_soc + (run.moved_Ah if direction == "charge" else -run.moved_Ah) / counts_Ah[direction]
+        if direction == "charge" and run.voltage_V[-1] > upper_V - 0.03 and soc[-1] < CLOSES and "discharge" in branches:
             warnings.append(
                 f"OCV at {temperature_degC:g} degC: the charge reached the upper limit after {100 * soc[-1]:.0f} % of the"
                 " capacity drawn before; only the discharge is used (ageing, or lost count?)"
             )
             continue
-        span = (float(soc.min()), float(soc.max()))
-        if span[0] > 0.05 or span[1] < 0.95:
-            warnings.append(
-                f"OCV at {temperature_degC:g} degC, {direction}: covers SoC {span[0]:.2f} to {span[1]:.2f} only"
-            )
+        low, high = float(soc.min()), float(soc.max())
+        if low > 0.05 or high < 0.95:
+            warnings.append(f"OCV at {temperature_degC:g} degC, {direction}: covers SoC {low:.2f} to {high:.2f} only")
         inside = (soc > -0.02) & (soc < 1.02)
-        curve, sigma = rising(soc[inside], voltage_V[inside], np.ones(inside.sum()))
-        covered = (span[0] - 0.005 <= SOC) & (span[1] + 0.005 >= SOC)
-        fitted[direction] = (curve, sigma, covered)
-        sizes_A.append(size_A)
+        if np.count_nonzero(inside) < 20:
+            raise ConfigError(f"OCV at {temperature_degC:g} degC", expected="20 rows or more between SoC 0 and 1")
+        curve, sigma = rising(soc[inside], run.voltage_V[inside])
+        fitted[direction] = (curve, sigma, (low - 0.005 <= SOC) & (high + 0.005 >= SOC))
+    current_A = float(np.mean([branches[direction].size_A for direction in fitted]))
     directions = tuple(sorted(fitted))
     if len(fitted) < 2:
         curve, sigma, _ = fitted[directions[0]]
-        return Curve(temperature_degC, curve, sigma, None, sizes_A[0], directions)
+        return Curve(temperature_degC, curve, sigma, None, current_A, directions)
     up, down = fitted["charge"], fitted["discharge"]
     both = up[2] & down[2]
     half = np.interp(SOC, SOC[both], (up[0] - down[0])[both] / 2)
     # Where only one branch reaches, the other is as far from it as where both end.
     middle = np.where(down[2], down[0] + half, up[0] - half)
-    mean, _ = rising(SOC, middle, np.ones(SOC.size), smoothing=SMOOTHING / 10)
-    return Curve(temperature_degC, mean, np.hypot(up[1], down[1]) / 2, half, float(np.mean(sizes_A)), directions)
+    mean, _ = rising(SOC, middle, smoothing=SMOOTHING / 10)
+    return Curve(temperature_degC, mean, np.hypot(up[1], down[1]) / 2, half, current_A, directions)

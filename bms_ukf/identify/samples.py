@@ -6,6 +6,7 @@ current at its end, which makes the ohmic drop. So 10 Hz recordings are simulate
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -71,6 +72,22 @@ def counted_soc(recording: Recording, test: Test, capacity_Ah: float, coulombic_
         known = recording.soc_ref is not None and np.isfinite(recording.soc_ref[0])
         start = float(recording.soc_ref[0]) if known and recording.soc_ref is not None else 1.0
     return np.asarray(start - np.cumsum(moved_Ah) / capacity_Ah)
+
+
+def coulombic_efficiency(recordings: Sequence[tuple[Test, Recording]], capacity_Ah: float) -> float | None:
+    """Charge efficiency by the files' own SoC references, nearest 25 degC; None if no file charges and has one."""
+    found: list[tuple[float, float]] = []
+    for test, recording in recordings:
+        drawn_Ah = np.diff(recording.drawn_Ah)
+        charged_Ah = np.concatenate([[0.0], np.cumsum(np.maximum(-drawn_Ah, 0))])
+        if recording.soc_ref is None or charged_Ah[-1] < 0.2 * capacity_Ah:
+            continue
+        discharged_Ah = np.concatenate([[0.0], np.cumsum(np.maximum(drawn_Ah, 0))])
+        counts = np.column_stack([np.ones_like(charged_Ah), discharged_Ah, charged_Ah])
+        _, by_discharge, by_charge = np.linalg.lstsq(counts, recording.soc_ref, rcond=None)[0]
+        if by_discharge < 0:
+            found.append((abs(test.temperature_degC - 25), float(np.clip(-by_charge / by_discharge, 0.9, 1.0))))
+    return min(found)[1] if found else None
 
 
 def sample(recording: Recording, test: Test, soc: Array) -> Samples:

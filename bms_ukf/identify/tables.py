@@ -30,10 +30,13 @@ LEAST_HYSTERESIS_V = 1e-4
 # How strongly, in mV for a change of 1 in a logarithm: kink from SoC knot to knot, kink over 1000/T, step between
 # neighbouring temperatures off the Arrhenius line, the same for what should hardly depend on temperature, level, rate.
 KINK_SOC, KINK_T, ARRHENIUS, HELD, LEVEL, RATE = 30.0, 9.0, 3.0, 30.0, 1.0, 20.0
+DIFFUSION = 1.0  # power of the OCV slope in the third resistance: a lag of the SoC at the surface makes 1
+STEP_SOC = 30.0  # from knot to knot: where nothing is known, a table goes on as it was
+HYSTERESIS_LEVEL = 30.0  # its width is measured by the slow test
 # OCV correction: mV per mV of kink, of size and of difference between neighbouring temperatures.
 OCV_KINK, OCV_SIZE, OCV_BETWEEN = 30.0, 2.7, 1.0
 # SoC scale: mV per unit of log scale, of kink over 1000/T, of difference between neighbouring temperatures.
-SCALE_SIZE, SCALE_KINK, SCALE_BETWEEN = 100.0, 100.0, 300.0
+SCALE_SIZE, SCALE_KINK, SCALE_BETWEEN = 2000.0, 100.0, 300.0
 
 
 @dataclass(slots=True, frozen=True)
@@ -59,7 +62,7 @@ class Unknowns:
     """
 
     def __init__(
-        self, structure: Structure, temperature_degC: Array, capacity_Ah: float, half_width_V: Array | None
+        self, structure: Structure, temperature_degC: Array, capacity_Ah: float, ocv_slope_V: Array, half_width_V: Array | None
     ) -> None:
         self.structure = structure
         self.temperature_degC = temperature_degC
@@ -81,9 +84,10 @@ class Unknowns:
         self._table((KNEE,), knee, (0.02 * capacity_Ah, 1000 * capacity_Ah), over_soc=False)
         if half_width_V is not None:
             self.offset[HYSTERESIS] = np.log(np.maximum(half_width_V, LEAST_HYSTERESIS_V))
-            self._table((HYSTERESIS,), np.zeros_like(arrhenius), (0.2, 3.0), over_soc=False, held=True)
+            self._table((HYSTERESIS,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True, level=HYSTERESIS_LEVEL)
         for j in range(structure.pairs):
-            self._table((R1 + 2 * j,), r_start - 0.7, (least, most), over_soc=True)
+            shape = DIFFUSION * np.log(ocv_slope_V) if j == 2 else 0.0
+            self._table((R1 + 2 * j,), r_start - 0.7, (least, most), over_soc=True, shape=shape)
             tau = np.full_like(arrhenius, np.log(TAU_START_S[j]))
             self._table((R1 + 2 * j + 1,), tau, TAU_LIMITS_S[j], over_soc=False, held=True)
         self.to_tables = np.hstack(self._maps)
@@ -122,6 +126,8 @@ class Unknowns:
         *,
         over_soc: bool,
         held: bool = False,
+        level: float | None = None,
+        shape: Array | float = 0.0,
     ) -> None:
         """Unknowns of a table, over temperature and perhaps SoC, and what is believed of them.
 
@@ -137,15 +143,18 @@ class Unknowns:
         self._maps.append(to_tables)
         low, high = np.log(limits)
         self._limits.append((slice(first, first + one.shape[1]), low, high))
-        self._starts.append(np.repeat(start, along_soc.shape[1]))
+        self._starts.append((start[:, None] + np.broadcast_to(shape, along_soc.shape[1])).ravel())
         each = np.eye(along_soc.shape[1])
         self._believe(first, KINK_T * np.kron(second_difference(self.inverse_K), each))
         difference = np.kron(np.diff(np.eye(rows), axis=0), each)
         strength = HELD if held else ARRHENIUS
         self._believe(first, strength * difference, strength * difference @ self._starts[-1])
-        self._believe(first, LEVEL * np.eye(one.shape[1]), LEVEL * self._starts[-1])
+        level = LEVEL if level is None else level
+        self._believe(first, level * np.eye(one.shape[1]), level * self._starts[-1])
         if over_soc:
-            self._believe(first, KINK_SOC * np.kron(np.eye(rows), np.diff(np.eye(knots), 2, axis=0)))
+            for strength, order in ((KINK_SOC, 2), (STEP_SOC, 1)):
+                along = strength * np.kron(np.eye(rows), np.diff(np.eye(knots), order, axis=0))
+                self._believe(first, along, along @ self._starts[-1])
 
     def _believe_the_rest(self) -> None:
         rows = self.temperature_degC.size
