@@ -29,6 +29,7 @@ ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs,
 KEPT = 1000  # rows of a test that enter the least squares
 BELOW_EMPTY, BELOW_EMPTY_V = -0.25, 0.25  # the OCV goes on below SoC 0, for a cell that holds less than it should
 BLOCK_SHARE = 1 / 24  # of a test, for the blocks that are left out in turn
+WORTH_IT = 0.98  # of the error on rows left out: what more structure must bring
 CORE_START = (2.0, 300.0)  # K/W, s
 
 
@@ -132,7 +133,14 @@ def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lamb
         half = None
         if structure.hysteresis and slow.half_width_V is not None:
             half = np.interp(SOC, ocv.SOC, slow.half_width_V)
-        unknowns = Unknowns(structure, temperature_degC, slow.capacity_Ah, ocv_slope_V(slow), half)
+        unknowns = Unknowns(
+            structure,
+            temperature_degC,
+            slow.capacity_Ah,
+            ocv_slope_V(slow),
+            half,
+            both_branches=slow.half_width_V is not None,
+        )
         start = unknowns.start
         if structure.core:
             start = np.concatenate([start, np.log(CORE_START)])
@@ -237,13 +245,14 @@ def _better(
     held_out_mV: dict[str, float],
     progress: Progress,
 ) -> Model:
-    """`model` if its error on rows left out is at least a twentieth smaller than that of `best`."""
+    """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
     name = str(model.unknowns.structure)
     progress(f"trying {name}")
     model = fit(model, train, evaluations=10, kept=KEPT // 3)
     drives = [test for test in judge if test.test.role == "drive"] or judge
-    held_out_mV[name] = float(np.nanmean(error_mV(model, drives)))
-    if best is None or held_out_mV[name] < 0.95 * held_out_mV[str(best.unknowns.structure)]:
+    # The geometric mean: a hard test must not outvote the others.
+    held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))
+    if best is None or held_out_mV[name] < WORTH_IT * held_out_mV[str(best.unknowns.structure)]:
         return model
     return best
 

@@ -35,6 +35,7 @@ STEP_SOC = 30.0  # from knot to knot: where nothing is known, a table goes on as
 HYSTERESIS_LEVEL = 30.0  # its width is measured by the slow test
 # OCV correction: mV per mV of kink, of size and of difference between neighbouring temperatures.
 OCV_KINK, OCV_SIZE, OCV_BETWEEN = 30.0, 2.7, 1.0
+OCV_SIZE_BOTH = 10.0  # with both branches the slow test has no polarisation left in it
 # SoC scale: mV per unit of log scale, of kink over 1000/T, of difference between neighbouring temperatures.
 SCALE_SIZE, SCALE_KINK, SCALE_BETWEEN = 2000.0, 100.0, 300.0
 
@@ -62,9 +63,17 @@ class Unknowns:
     """
 
     def __init__(
-        self, structure: Structure, temperature_degC: Array, capacity_Ah: float, ocv_slope_V: Array, half_width_V: Array | None
+        self,
+        structure: Structure,
+        temperature_degC: Array,
+        capacity_Ah: float,
+        ocv_slope_V: Array,
+        half_width_V: Array | None,
+        *,
+        both_branches: bool,
     ) -> None:
         self.structure = structure
+        self.both_branches = both_branches
         self.temperature_degC = temperature_degC
         self.inverse_K = -1000 / (temperature_degC + ZERO_CELSIUS_K)
         self.shape = (R1 + 2 * structure.pairs, temperature_degC.size, SOC.size)
@@ -77,7 +86,7 @@ class Unknowns:
         # With r ~ 0.1 V / capacity at 25 degC; the knee moves against the resistance.
         arrhenius = ACTIVATION_K / 1000 * (-self.inverse_K - 1000 / (25 + ZERO_CELSIUS_K))
         r_start = np.log(0.1 / capacity_Ah) + arrhenius
-        least, most = 1e-4 / capacity_Ah, 100.0 / capacity_Ah  # ohm
+        least, most = 1e-4 / capacity_Ah, 5.0 / capacity_Ah  # ohm
         self._table((R0, R0_CHARGE), r_start, (least, most), over_soc=True)
         self._table((R0_CHARGE,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True)
         knee = np.log(2.0 * capacity_Ah) - arrhenius
@@ -163,7 +172,7 @@ class Unknowns:
         each = np.eye(OCV_SOC.size)
         for matrix in (
             OCV_KINK * np.kron(np.eye(rows), np.diff(each, 2, axis=0)),
-            OCV_SIZE * np.eye(rows * OCV_SOC.size),
+            (OCV_SIZE_BOTH if self.both_branches else OCV_SIZE) * np.eye(rows * OCV_SOC.size),
             OCV_BETWEEN * np.kron(between, each),
         ):
             self._believe(self.ocv.start, 1e3 * matrix)
