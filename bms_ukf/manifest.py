@@ -14,17 +14,17 @@ from bms_ukf.errors import ConfigError
 
 DATA_FOLDER = "BMS_UKF_DATA"  # environment variable: where a manifest's files are looked for after its own folder
 
-Fraction = Annotated[float, Field(ge=0, le=1)]
+Part = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=2, max_length=2)]
 
 
-class Test(toml.Section):
+class MeasuredTest(toml.Section):
     """[[test]]: one file."""
 
     role: Literal["ocv", "pulse", "drive", "charge"]
     file: str
     temperature_degC: Temperature
     use: Literal["fit", "validate"] = "fit"
-    part: Annotated[list[Fraction], Field(min_length=2, max_length=2)] = [0.0, 1.0]  # of its rows; the rest is simulated
+    part: Part = Field(default_factory=lambda: [0.0, 1.0])  # of its rows; the others are simulated, and do not count
     direction: Literal["charge", "discharge"] | None = None  # of an ocv file that holds one only
     initial_soc: Annotated[float, Field(ge=-0.05, le=1.05)] | None = None  # default: soc_ref of the file, else full
     voltage_lag_s: Annotated[float, Field(ge=-10, le=10)] | Literal["estimate"] = 0.0
@@ -48,7 +48,7 @@ class Manifest(toml.Document):
     capacity_Ah: Annotated[float, Field(gt=0, le=2000)] | None = None  # at 25 degC; None: from the OCV test
     current_positive: Literal["charge", "discharge"]
     voltage_limits_V: Annotated[list[Annotated[float, Field(gt=0.5, lt=6)]], Field(min_length=2, max_length=2)]
-    test: Annotated[list[Test], Field(min_length=1)]
+    test: Annotated[list[MeasuredTest], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _usable(self) -> Self:

@@ -7,6 +7,7 @@ loaded.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,11 +51,11 @@ def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identif
     judged = {use: [openloop.predict(draft, test) for test in group] for use, group in chosen.items()}
     found["noise"] = _noise(judged, model, found)
     rmse_mV = {
-        use: {_label(test): round(1e3 * prediction.rmse_V(), 1) for test, prediction in zip(group, judged[use], strict=True)}
+        use: {_label(test): round(1e3 * seen.rmse_V(), 1) for test, seen in zip(group, judged[use], strict=True)}
         for use, group in chosen.items()
     }
     found |= cellfile.provenance(path, tests, model.held_out_mV, rmse_mV)
-    title = f"{tests.cell}: {tests.chemistry}, identified from measured tests. bms_ukf/cell.py has the meaning of every key."
+    title = f"{tests.cell}: {tests.chemistry}, identified from measured tests; bms_ukf/cell.py explains every key."
     text = cellfile.to_toml(found, title)
     warnings += warn.about(model, slow, chosen, judged)
     return Identified(tests, text, _loaded(found, path), model, slow, judged, warnings)
@@ -73,7 +74,9 @@ def load(
     slow = ocv.analyse(tests, [pair for pair in recordings if pair[0].role == "ocv"], str(path))
     warnings += slow.warnings
     moving = [pair for pair in recordings if pair[0].role != "ocv"]
-    efficiency = samples.coulombic_efficiency([pair for pair in moving if pair[0].use == "fit"], slow.capacity_Ah) or 1.0
+    efficiency = (
+        samples.coulombic_efficiency([pair for pair in moving if pair[0].use == "fit"], slow.capacity_Ah) or 1.0
+    )
     chosen: dict[str, list[Samples]] = {"fit": [], "validate": []}
     for test, recording in moving:
         soc = samples.counted_soc(recording, test, slow.capacity_Ah, efficiency)
@@ -82,7 +85,9 @@ def load(
     return slow, chosen, efficiency, warnings
 
 
-def _noise(judged: dict[str, list[openloop.Prediction]], model: dynamics.Model, found: dict[str, Any]) -> dict[str, float]:
+def _noise(
+    judged: dict[str, list[openloop.Prediction]], model: dynamics.Model, found: dict[str, Any]
+) -> dict[str, float]:
     """From tests never fitted; without any, from the fitted ones, enlarged as rows left out of the choice tell."""
     pairs = model.unknowns.structure.pairs
     if judged["validate"]:
@@ -106,8 +111,6 @@ def _draft_noise(model: dynamics.Model) -> dict[str, float]:
 
 def _loaded(found: dict[str, dict[str, Any]], path: Path) -> CellParams:
     """The sections as the cell file they will be."""
-    import tomllib
-
     return toml.validate(tomllib.loads(cellfile.to_toml(found, "draft")), CellParams, f"the cell file from {path.name}")
 
 

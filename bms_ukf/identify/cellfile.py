@@ -1,4 +1,4 @@
-"""An identified model as a cell file: tables at the precision they have, units in the keys, and where it all came from."""
+"""An identified model as a cell file: tables at the precision they have, units in the keys, and their provenance."""
 
 from __future__ import annotations
 
@@ -83,7 +83,9 @@ def ocv_rows(model: Model, tests: Manifest) -> Array:
     return np.array(rows)
 
 
-def provenance(path: Path, tests: Manifest, held_out_mV: dict[str, float], rmse_mV: dict[str, dict[str, float]]) -> Sections:
+def provenance(
+    path: Path, tests: Manifest, held_out_mV: dict[str, float], rmse_mV: dict[str, dict[str, float]]
+) -> Sections:
     """Who made the file, when, of what, and how well it does."""
     try:
         tool = f"bms-ukf {version('bms-ukf')}"

@@ -88,9 +88,10 @@ class Model:
         kept = np.arange(test.soc.size)[rows]
         out = np.empty(test.soc.size)
         by_table = np.empty((kept.size, np.prod(unknowns.shape) + 1))
-        rate = np.exp(x[unknowns.rate]) / (3600 * self.capacity_Ah) if unknowns.structure.hysteresis else 0.0
-        arguments = (test.step_s, test.current_A, test.current_at_end_A, place, unknowns.tables(x))
-        drop(*arguments, rate, max(stride, 1), out, by_table)
+        per_charge = float(np.exp(x[unknowns.rate])) / (3600 * self.capacity_Ah)
+        rate = per_charge if unknowns.structure.hysteresis else 0.0
+        currents = (test.current_A, test.current_at_end_A)
+        drop(test.step_s, *currents, place, unknowns.tables(x), rate, max(stride, 1), out, by_table)
         left, part = between(temperature_degC, unknowns.temperature_degC)
         weights = np.zeros((test.soc.size, unknowns.temperature_degC.size))
         np.put_along_axis(weights, left[:, None], (1 - part)[:, None], axis=1)
@@ -114,14 +115,14 @@ class Model:
             columns.append((self._run(shifted, test, 0)[0] - voltage_V)[rows, None] / 0.02)
         return voltage_V, np.hstack(columns)
 
-    def _core_rise_K(self, x: Array, test: Samples) -> Array | float:
+    def _core_rise_K(self, x: Array, test: Samples) -> Array:
         """Core above surface; its heat from the measured voltage."""
         if not self.unknowns.structure.core:
-            return 0.0
+            return np.zeros(test.soc.size)
         row = np.argmin(np.abs(self.unknowns.temperature_degC - 25))
         ocv_V, _ = self.ocv(np.full(test.soc.size, row), test.soc)
         heat_W = test.current_A * (ocv_V - test.voltage_V)
-        return float(np.exp(x[-2])) * lowpass(test.step_s, heat_W, float(np.exp(x[-1])))
+        return np.asarray(np.exp(x[-2]) * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
 
 
 def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lambda _: None) -> Model:
@@ -248,7 +249,7 @@ def _better(
     """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
     name = str(model.unknowns.structure)
     progress(f"trying {name}")
-    model = fit(model, train, evaluations=10, kept=KEPT // 3)
+    model = fit(model, train, evaluations=15, kept=KEPT // 3)
     drives = [test for test in judge if test.test.role == "drive"] or judge
     # The geometric mean: a hard test must not outvote the others.
     held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))
@@ -261,7 +262,8 @@ def _alternate(tests: Sequence[Samples], phase: int) -> list[Samples]:
     """The tests with every other block of their counted rows counting."""
     chosen = []
     for test in tests:
-        block = (test.time_s / (test.time_s[-1] * BLOCK_SHARE)).astype(int)
+        time_s = test.time_s
+        block = (time_s / (BLOCK_SHARE * float(time_s[-1]))).astype(int)
         chosen.append(at(test, test.counted & (block % 2 == phase)))
     return chosen
 
@@ -271,9 +273,9 @@ def _weights(model: Model, test: Samples, stride: int) -> Array:
     _, slope = model.ocv(np.zeros(test.soc.size, dtype=np.int64), test.soc)
     weight = test.counted / np.hypot(1.0, SOC_ERROR * slope / 0.01)
     kept = weight[::stride]
-    share = float(np.mean(test.test.part[1] - test.test.part[0]))
-    count = max(np.count_nonzero(test.counted[::stride]), 1)
-    return np.asarray(kept * np.sqrt(share * ROWS[test.test.role] / count))
+    first, last = test.test.part
+    count = max(int(np.count_nonzero(test.counted[::stride])), 1)
+    return np.asarray(kept * np.sqrt((last - first) * ROWS[test.test.role] / count))
 
 
 def _has_hysteresis(slow: ocv.Slow) -> bool:

@@ -9,18 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from bms_ukf.errors import ConfigError
-from bms_ukf.manifest import Manifest, Test
+from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
 
 Array = NDArray[np.float64]
 
-SOC = np.unique(np.round(np.concatenate([np.linspace(0, 0.1, 21), np.linspace(0.1, 0.9, 81), np.linspace(0.9, 1, 21)]), 4))
+SOC = np.unique(
+    np.round(np.concatenate([np.linspace(0, 0.1, 21), np.linspace(0.1, 0.9, 81), np.linspace(0.9, 1, 21)]), 4)
+)
 LEAST_SLOPE_V = 2e-3  # per unit of SoC: flat enough for any plateau, and strictly rising
 CLOSES = 0.90  # a charge branch that reaches the upper limit below this SoC has lost count, or the cell its capacity
 SAME = 0.05  # two counts of the same capacity agree within this share
@@ -83,7 +86,7 @@ class Slow:
         return np.asarray(np.polyfit([curve.temperature_degC for curve in self.curves], rows, 1)[0])
 
 
-def analyse(tests: Manifest, recordings: Sequence[tuple[Test, Recording]], source: str) -> Slow:
+def analyse(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]], source: str) -> Slow:
     """Curves of all `ocv` tests. Raises ConfigError if they give no capacity or no curve."""
     branches: dict[float, dict[str, Run]] = {}
     warnings: list[str] = []
@@ -103,14 +106,12 @@ def analyse(tests: Manifest, recordings: Sequence[tuple[Test, Recording]], sourc
     }
     capacity_Ah = tests.capacity_Ah or _capacity(drawn_Ah, source)
     _compare_capacity(tests, drawn_Ah, source, warnings)
-    curves = []
-    for T, found in sorted(branches.items()):
-        curve = _curve(T, found, _counts(branches, drawn_Ah, capacity_Ah), high, warnings)
-        curves.append(curve)
+    counts_Ah = _counts(branches, drawn_Ah, capacity_Ah)
+    curves = [_curve(T, found, counts_Ah, high, warnings) for T, found in sorted(branches.items())]
     both = [curve for curve in curves if curve.half_width_V is not None]
-    for curve in curves if both else []:
-        if curve.half_width_V is None:
-            warnings.append(f"OCV at {curve.temperature_degC:g} degC left out: other temperatures have both branches")
+    left_out = [f"{curve.temperature_degC:g}" for curve in curves if curve.half_width_V is None]
+    if both and left_out:
+        warnings.append(f"OCV at {', '.join(left_out)} degC left out: other temperatures have both branches")
     return Slow(capacity_Ah, both or curves, drawn_Ah, warnings)
 
 
@@ -138,14 +139,14 @@ def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tup
     return np.cumsum(fitted), np.asarray(sigma_V)
 
 
-def _runs(recording: Recording, test: Test) -> list[Run]:
+def _runs(recording: Recording, test: MeasuredTest) -> list[Run]:
     """Stretches of one direction that move at least a third of all charge."""
     busy = np.abs(recording.current_A) > 0.1 * np.abs(recording.current_A).max()
     sign = np.where(busy, np.sign(recording.current_A), 0)
     edges = np.flatnonzero(np.diff(sign, prepend=0, append=0))
     whole_Ah = np.abs(np.diff(recording.drawn_Ah)).sum()
     runs = []
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges.tolist()):
         moved_Ah = np.abs(recording.drawn_Ah[start:end] - recording.drawn_Ah[max(start - 1, 0)])
         if sign[start] and end - start > 20 and moved_Ah[-1] > whole_Ah / 3:
             direction = "discharge" if sign[start] > 0 else "charge"
@@ -156,7 +157,9 @@ def _runs(recording: Recording, test: Test) -> list[Run]:
     return runs
 
 
-def _counts(branches: dict[float, dict[str, Run]], drawn_Ah: dict[float, float], capacity_Ah: float) -> dict[str, float]:
+def _counts(
+    branches: dict[float, dict[str, Run]], drawn_Ah: dict[float, float], capacity_Ah: float
+) -> dict[str, float]:
     """Charge of the slow tests that is a SoC of 1, by direction, Ah.
 
     A slow test counts by itself: from full to the lower limit at about 25 degC is all there is, and so is what brings
@@ -199,10 +202,15 @@ def _curve(
     fitted: dict[str, tuple[Array, Array, NDArray[np.bool_]]] = {}
     for direction, run in branches.items():
         soc = run.start_soc + (run.moved_Ah if direction == "charge" else -run.moved_Ah) / counts_Ah[direction]
-        if direction == "charge" and run.voltage_V[-1] > upper_V - 0.03 and soc[-1] < CLOSES and "discharge" in branches:
+        if (
+            direction == "charge"
+            and run.voltage_V[-1] > upper_V - 0.03
+            and soc[-1] < CLOSES
+            and "discharge" in branches
+        ):
             warnings.append(
-                f"OCV at {temperature_degC:g} degC: the charge reached the upper limit after {100 * soc[-1]:.0f} % of the"
-                " capacity drawn before; only the discharge is used (ageing, or lost count?)"
+                f"OCV at {temperature_degC:g} degC: the charge reached the upper limit after {100 * soc[-1]:.0f} % of"
+                " the capacity drawn before; only the discharge is used (ageing, or lost count?)"
             )
             continue
         low, high = float(soc.min()), float(soc.max())

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf import manifest
-from bms_ukf.manifest import Manifest, Test
+from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording, estimate_voltage_lag_s, read, require_sign
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ MOVED = 0.01  # share of the largest current that counts as a change of it
 class Samples:
     """One test; arrays of shape (n,). Nothing here depends on the model."""
 
-    test: Test
+    test: MeasuredTest
     name: str
     step_s: Array  # the interval that ends at each row
     current_A: Array  # its mean current, positive = discharge
@@ -40,10 +40,10 @@ class Samples:
 
     @property
     def time_s(self) -> Array:
-        return np.cumsum(self.step_s)
+        return np.asarray(np.cumsum(self.step_s))
 
 
-def load(path: Path, tests: Manifest, test: Test, *, needs_sign_check: bool = True) -> Recording:
+def load(path: Path, tests: Manifest, test: MeasuredTest, *, needs_sign_check: bool = True) -> Recording:
     """The recording of a test of the manifest at `path`: sign checked, voltage lag removed, leading soak cut."""
     sign = test.current_positive or tests.current_positive
     recording = read(
@@ -63,7 +63,7 @@ def load(path: Path, tests: Manifest, test: Test, *, needs_sign_check: bool = Tr
     return recording.rows(slice(max(int(np.argmax(loaded)) - 1, 0), None))
 
 
-def counted_soc(recording: Recording, test: Test, capacity_Ah: float, coulombic_efficiency: float) -> Array:
+def counted_soc(recording: Recording, test: MeasuredTest, capacity_Ah: float, coulombic_efficiency: float) -> Array:
     """SoC at every row: from the start, by the charge that flowed."""
     drawn_Ah = np.diff(recording.drawn_Ah, prepend=recording.drawn_Ah[0])
     moved_Ah = np.where(drawn_Ah < 0, coulombic_efficiency * drawn_Ah, drawn_Ah)
@@ -74,7 +74,7 @@ def counted_soc(recording: Recording, test: Test, capacity_Ah: float, coulombic_
     return np.asarray(start - np.cumsum(moved_Ah) / capacity_Ah)
 
 
-def coulombic_efficiency(recordings: Sequence[tuple[Test, Recording]], capacity_Ah: float) -> float | None:
+def coulombic_efficiency(recordings: Sequence[tuple[MeasuredTest, Recording]], capacity_Ah: float) -> float | None:
     """Charge efficiency by the files' own SoC references, nearest 25 degC; None if no file charges and has one."""
     found: list[tuple[float, float]] = []
     for test, recording in recordings:
@@ -90,7 +90,7 @@ def coulombic_efficiency(recordings: Sequence[tuple[Test, Recording]], capacity_
     return min(found)[1] if found else None
 
 
-def sample(recording: Recording, test: Test, soc: Array) -> Samples:
+def sample(recording: Recording, test: MeasuredTest, soc: Array) -> Samples:
     """Rows of about `STEP_S`, further apart the longer the current has not moved."""
     kept = _thin(recording.time_s, recording.current_A)
     rows = recording.rows(kept)

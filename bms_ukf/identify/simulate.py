@@ -38,7 +38,10 @@ def between(x: Array, knots: Array) -> tuple[Index, Array]:
     return left, part
 
 
-@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})  # type: ignore[untyped-decorator]
+FAST = {"reassoc", "contract", "nsz"}  # what lets the sums over sensitivities be vectorised, and no more
+
+
+@njit(cache=True, fastmath=FAST)
 def drop(
     step_s: Array,
     current_A: Array,
@@ -60,53 +63,23 @@ def drop(
     size = rows * knots
     pairs = (channels - R1) // 2
     differentiate = by_table.shape[0] > 0
-    value = np.zeros(channels)
-    part = np.zeros((channels, 2))
-    v = np.zeros(pairs)
-    by_r = np.zeros((pairs, size))
-    by_tau = np.zeros((pairs, size))
-    h, by_rate = 0.0, 0.0
-    by_max = np.zeros(size)
-    w = np.zeros(2)
-    at = np.zeros((2, 2), dtype=np.int64)
+    value, part = np.zeros(channels), np.zeros((channels, 2))
+    at, w = np.zeros((2, 2), dtype=np.int64), np.zeros(2)
+    v, by_r, by_tau = np.zeros(pairs), np.zeros((pairs, size)), np.zeros((pairs, size))
+    h, by_rate, by_max = 0.0, 0.0, np.zeros(size)
     for k in range(step_s.size):
-        T, s = place.temperature[k], place.soc[k]
-        w[0], w[1] = 1.0 - place.temperature_part[k], place.temperature_part[k]
-        for c in range(channels):
-            for g in range(2):
-                u = place.soc_part[k] if g else 1.0 - place.soc_part[k]
-                part[c, g] = u * np.exp(w[0] * tables[c, T, s + g] + w[1] * tables[c, T + 1, s + g])
-            value[c] = part[c, 0] + part[c, 1]
-        for g in range(2):
-            for e in range(2):
-                at[g, e] = (T + e) * knots + s + g
-        i, dt = current_A[k], step_s[k]
+        _look_up(tables, place, k, value, part, at, w)
         total = 0.0
         for j in range(pairs):
-            r, tau = value[R1 + 2 * j], value[R1 + 2 * j + 1]
-            a = np.exp(-dt / tau)
-            turn = a * dt / (tau * tau) * (v[j] - r * i)
-            v[j] = a * v[j] + (1.0 - a) * r * i
+            _relax(j, step_s[k], current_A[k], value, part, at, w, v, by_r, by_tau, differentiate)
             total += v[j]
-            if differentiate:
-                for p in range(size):
-                    by_r[j, p] *= a
-                    by_tau[j, p] *= a
-                for g in range(2):
-                    for e in range(2):
-                        by_r[j, at[g, e]] += (1.0 - a) * i * part[R1 + 2 * j, g] * w[e]
-                        by_tau[j, at[g, e]] += turn * part[R1 + 2 * j + 1, g] * w[e]
         if hysteresis_rate > 0.0:
-            moved = hysteresis_rate * abs(i) * dt
-            a = np.exp(-moved)
-            goal = value[HYSTERESIS] * np.sign(i)
+            moved = hysteresis_rate * abs(current_A[k]) * step_s[k]
+            a, sign = np.exp(-moved), np.sign(current_A[k])
+            goal = value[HYSTERESIS] * sign
             if differentiate:
                 by_rate = a * by_rate - moved * a * (h - goal)
-                for p in range(size):
-                    by_max[p] *= a
-                for g in range(2):
-                    for e in range(2):
-                        by_max[at[g, e]] += (1.0 - a) * np.sign(i) * part[HYSTERESIS, g] * w[e]
+                _decay_and_add(by_max, a, (1.0 - a) * sign, part[HYSTERESIS], at, w)
             h = a * h + (1.0 - a) * goal
             total += h
         ohmic = R0_CHARGE if current_at_end_A[k] < 0.0 else R0
@@ -116,11 +89,9 @@ def drop(
         if differentiate and k % stride == 0:
             row = by_table[k // stride]
             row[:] = 0.0
+            _decay_and_add(row[ohmic * size : (ohmic + 1) * size], 1.0, bent, part[ohmic], at, w)
             by_log_knee = value[ohmic] * (np.arcsinh(x) - x / np.sqrt(1.0 + x * x))
-            for g in range(2):
-                for e in range(2):
-                    row[ohmic * size + at[g, e]] += bent * part[ohmic, g] * w[e]
-                    row[KNEE * size + at[g, e]] += by_log_knee * part[KNEE, g] * w[e]
+            _decay_and_add(row[KNEE * size : (KNEE + 1) * size], 1.0, by_log_knee, part[KNEE], at, w)
             row[HYSTERESIS * size : R1 * size] = by_max
             for j in range(pairs):
                 first = (R1 + 2 * j) * size
@@ -129,7 +100,57 @@ def drop(
             row[channels * size] = by_rate
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=FAST)
+def _look_up(tables: Array, place: Place, k: int, value: Array, part: Array, at: Index, w: Array) -> None:
+    """Values of all channels at row k, the part of each that either SoC knot gives, and the entries they are of."""
+    T, s = place.temperature[k], place.soc[k]
+    w[0], w[1] = 1.0 - place.temperature_part[k], place.temperature_part[k]
+    for c in range(tables.shape[0]):
+        for g in range(2):
+            u = place.soc_part[k] if g else 1.0 - place.soc_part[k]
+            part[c, g] = u * np.exp(w[0] * tables[c, T, s + g] + w[1] * tables[c, T + 1, s + g])
+        value[c] = part[c, 0] + part[c, 1]
+    for g in range(2):
+        for e in range(2):
+            at[g, e] = (T + e) * tables.shape[2] + s + g
+
+
+@njit(cache=True, fastmath=FAST)
+def _relax(
+    j: int,
+    step_s: float,
+    current_A: float,
+    value: Array,
+    part: Array,
+    at: Index,
+    w: Array,
+    v: Array,
+    by_r: Array,
+    by_tau: Array,
+    differentiate: bool,
+) -> None:
+    """Pair j over one step: its voltage in `v`, and the derivatives of that by the tables of r_j and tau_j."""
+    r, tau = value[R1 + 2 * j], value[R1 + 2 * j + 1]
+    a = np.exp(-step_s / tau)
+    if differentiate:
+        by_log_tau = a * step_s / (tau * tau) * (v[j] - r * current_A)
+        _decay_and_add(by_r[j], a, (1.0 - a) * current_A, part[R1 + 2 * j], at, w)
+        _decay_and_add(by_tau[j], a, by_log_tau, part[R1 + 2 * j + 1], at, w)
+    v[j] = a * v[j] + (1.0 - a) * r * current_A
+
+
+@njit(cache=True, fastmath=FAST)
+def _decay_and_add(derivative: Array, decay: float, by_value: float, part: Array, at: Index, w: Array) -> None:
+    """derivative = decay derivative + by_value d(value)/d(entry), for the four entries a value is made of."""
+    if decay != 1.0:
+        for p in range(derivative.size):
+            derivative[p] *= decay
+    for g in range(2):
+        for e in range(2):
+            derivative[at[g, e]] += by_value * part[g] * w[e]
+
+
+@njit(cache=True)
 def lowpass(step_s: Array, drive: Array, tau_s: float) -> Array:
     """First-order low-pass from 0; the drive is constant over the interval that ends at each row."""
     out = np.empty_like(drive)

@@ -9,6 +9,7 @@ misfit, so that they decide only where the recordings say little.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from bms_ukf.identify.simulate import HYSTERESIS, KNEE, R0, R0_CHARGE, R1
 
 Array = NDArray[np.float64]
+Real = NDArray[np.floating[Any]]
 ZERO_CELSIUS_K = 273.15
 
 SOC = np.array([0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
@@ -93,7 +95,9 @@ class Unknowns:
         self._table((KNEE,), knee, (0.02 * capacity_Ah, 1000 * capacity_Ah), over_soc=False)
         if half_width_V is not None:
             self.offset[HYSTERESIS] = np.log(np.maximum(half_width_V, LEAST_HYSTERESIS_V))
-            self._table((HYSTERESIS,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True, level=HYSTERESIS_LEVEL)
+            self._table(
+                (HYSTERESIS,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True, level=HYSTERESIS_LEVEL
+            )
         for j in range(structure.pairs):
             shape = DIFFUSION * np.log(ocv_slope_V) if j == 2 else 0.0
             self._table((R1 + 2 * j,), r_start - 0.7, (least, most), over_soc=True, shape=shape)
@@ -179,8 +183,9 @@ class Unknowns:
         for matrix in (SCALE_SIZE * np.eye(rows), SCALE_KINK * kink_T, SCALE_BETWEEN * between):
             self._believe(self.scale.start, matrix)
 
-    def _believe(self, first: int, rows: Array, target: Array | None = None) -> None:
-        self._beliefs.append((first, rows, np.zeros(len(rows)) if target is None else target))
+    def _believe(self, first: int, rows: Real, target: Array | None = None) -> None:
+        target = np.zeros(len(rows)) if target is None else target
+        self._beliefs.append((first, np.asarray(rows, dtype=np.float64), target))
 
 
 def second_difference(x: Array) -> Array:

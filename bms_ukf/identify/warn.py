@@ -14,7 +14,7 @@ from bms_ukf.identify.openloop import Prediction
 from bms_ukf.identify.samples import Samples
 from bms_ukf.identify.simulate import R0
 from bms_ukf.identify.tables import SOC
-from bms_ukf.manifest import Test
+from bms_ukf.manifest import MeasuredTest
 from bms_ukf.recordings import Recording
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ OFF_COUNT = 0.02  # SoC
 MOVED_CAPACITY = 0.03  # share
 
 
-def about_count(recording: Recording, test: Test, soc: Array, source: str) -> list[str]:
+def about_count(recording: Recording, test: MeasuredTest, soc: Array, source: str) -> list[str]:
     """Whether the counted SoC is possible, and agrees with the file's own. Raises ConfigError if it is far from it."""
     if soc.min() < -0.3 or soc.max() > 1.3:
         expected = "a capacity_Ah, current unit and initial_soc by which the SoC stays within 0..1"
@@ -53,8 +53,8 @@ def about(
 def _about_capacity(model: Model) -> list[str]:
     scales = np.exp(model.x[model.unknowns.scale])
     return [
-        f"at {T:g} degC the OCV falls as if the cell held {100 / scale:.0f} % of its capacity: ageing between the tests,"
-        " or charge the cold cell does not give"
+        f"at {T:g} degC the OCV falls as if the cell held {100 / scale:.0f} % of its capacity: ageing between tests,"
+        " or charge that the cold cell does not give"
         for T, scale in zip(model.unknowns.temperature_degC, scales, strict=True)
         if scale > 1 + MOVED_CAPACITY
     ]
@@ -88,5 +88,3 @@ def _about_observability(model: Model) -> list[str]:
         if poor.size:
             warnings.append(f"r0 at {T:g} degC is hardly observed at SoC {', '.join(f'{soc:g}' for soc in poor)}")
     return warnings
-
-

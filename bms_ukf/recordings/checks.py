@@ -22,9 +22,15 @@ def require_sign(recording: Recording, current_positive: str) -> None:
     jump_V = np.diff(recording.voltage_V)[sudden]
     if sudden.sum() >= 3:
         resistance_ohm = -np.sum(jump_A[sudden] * jump_V) / np.sum(jump_A[sudden] ** 2)
-        agreement = np.corrcoef(jump_A[sudden], jump_V)[0, 1] if np.std(jump_V) > 0 and np.std(jump_A[sudden]) > 0 else 0
+        agreement = (
+            np.corrcoef(jump_A[sudden], jump_V)[0, 1] if np.std(jump_V) > 0 and np.std(jump_A[sudden]) > 0 else 0
+        )
         if agreement > 0.3:
-            _refuse(recording, current_positive, f"the voltage jumps by {-1e3 * resistance_ohm:+.1f} mV for each ampere of it")
+            _refuse(
+                recording,
+                current_positive,
+                f"the voltage jumps by {-1e3 * resistance_ohm:+.1f} mV for each ampere of it",
+            )
     drawn = np.ptp(recording.drawn_Ah)
     if drawn > 0 and np.std(recording.voltage_V) > 0:
         trend = np.corrcoef(recording.drawn_Ah, recording.voltage_V)[0, 1]
@@ -35,7 +41,10 @@ def require_sign(recording: Recording, current_positive: str) -> None:
 def _refuse(recording: Recording, current_positive: str, evidence: str) -> None:
     other = "charge" if current_positive == "discharge" else "discharge"
     raise ConfigError(
-        recording.name, key="current_positive", value=current_positive, expected=f"{other!r}: with discharge, {evidence}"
+        recording.name,
+        key="current_positive",
+        value=current_positive,
+        expected=f"{other!r}: with discharge, {evidence}",
     )
 
 

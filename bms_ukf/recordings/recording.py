@@ -106,7 +106,7 @@ def read(
 def _without_holes(path: Path, columns: dict[str, Array], warnings: list[str]) -> dict[str, Array]:
     """Rows that lack time, current or voltage dropped; temperature between its neighbours."""
     whole = np.all([np.isfinite(columns[name]) for name in ("time_s", "current_A", "voltage_V")], axis=0)
-    if np.mean(whole) < 1 - MISSING_SHARE or np.count_nonzero(whole) < 3:
+    if np.count_nonzero(whole) < max(3, (1 - MISSING_SHARE) * whole.size):
         count = f"{np.count_nonzero(~whole)} of {whole.size}"
         expected = f"at least 3, and at most {100 * MISSING_SHARE:g} % without a number"
         raise ConfigError(path, key="rows with time, current or voltage missing", value=count, expected=expected)

@@ -77,7 +77,9 @@ def _tables(found: Identified, figure: Figure) -> None:
     for axes, (key, label, factor) in zip(panels.flat, shown, strict=False):
         for rank, temperature in enumerate(dynamics.temperature_degC):
             values = factor * found.cell.dynamics_at(SOC, temperature)[key]
-            axes.plot(100 * SOC, values, color=_colour(rank, len(dynamics.temperature_degC)), label=f"{temperature:g} °C")
+            axes.plot(
+                100 * SOC, values, color=_colour(rank, len(dynamics.temperature_degC)), label=f"{temperature:g} °C"
+            )
         axes.set(ylabel=label, yscale="linear" if key == "hysteresis_V" else "log")
     for axes in panels.flat[len(shown) :]:
         axes.set_visible(False)
@@ -92,7 +94,14 @@ def _errors(found: Identified, figure: Figure) -> None:
             if rows.any():
                 colour = _colour(rank, len(found.predictions[use]))
                 bins = np.linspace(-100, 100, 81)
-                axes.hist(1e3 * prediction.error_V[rows], bins=bins, histtype="step", density=True, color=colour, label=prediction.name)
+                axes.hist(
+                    1e3 * prediction.error_V[rows],
+                    bins=bins,
+                    histtype="step",
+                    density=True,
+                    color=colour,
+                    label=prediction.name,
+                )
         axes.set(title=f"Errors of the tests to {use}", xlabel="predicted minus measured [mV]", yticks=[])
         if found.predictions[use]:
             axes.legend(fontsize=7)
