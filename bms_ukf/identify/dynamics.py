@@ -18,7 +18,7 @@ from bms_ukf import pchip
 from bms_ukf.identify import ocv
 from bms_ukf.identify.samples import Samples, at
 from bms_ukf.identify.simulate import Place, between, drop, lowpass
-from bms_ukf.identify.tables import OCV_SOC, SOC, ZERO_CELSIUS_K, Structure, Unknowns
+from bms_ukf.identify.tables import CORE_WEIGHT, CORES, OCV_SOC, SOC, ZERO_CELSIUS_K, Structure, Unknowns
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -26,11 +26,10 @@ Progress = Callable[[str], None]
 SOC_ERROR = 0.005  # of the count: where the OCV is steep, a row says less
 SCALE_V = 1e-3  # residuals are in mV
 ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs, as rows of error
-KEPT = 1000  # rows of a test that enter the least squares
+KEPT = 700  # rows of a test that enter the least squares
 BELOW_EMPTY, BELOW_EMPTY_V = -0.25, 0.25  # the OCV goes on below SoC 0, for a cell that holds less than it should
 BLOCK_SHARE = 1 / 24  # of a test, for the blocks that are left out in turn
-WORTH_IT = 0.98  # of the error on rows left out: what more structure must bring
-CORE_START = (2.0, 300.0)  # K/W, s
+WORTH_IT = 0.99  # share of the error on rows left out that more structure may leave at most
 
 
 class OcvRows:
@@ -69,9 +68,9 @@ class Model:
     @property
     def core(self) -> tuple[float, float] | None:
         """K/W and s of the core temperature, the last two unknowns; None without."""
-        if not self.unknowns.structure.core:
+        if self.unknowns.structure.core is None:
             return None
-        return float(np.exp(self.x[-2])), float(np.exp(self.x[-1]))
+        return float(self.x[-2]), float(np.exp(self.x[-1]))
 
     def simulate(self, test: Samples) -> Array:
         """Predicted terminal voltage at every row, V."""
@@ -117,12 +116,12 @@ class Model:
 
     def _core_rise_K(self, x: Array, test: Samples) -> Array:
         """Core above surface; its heat from the measured voltage."""
-        if not self.unknowns.structure.core:
+        if self.unknowns.structure.core is None:
             return np.zeros(test.soc.size)
         row = np.argmin(np.abs(self.unknowns.temperature_degC - 25))
         ocv_V, _ = self.ocv(np.full(test.soc.size, row), test.soc)
         heat_W = test.current_A * (ocv_V - test.voltage_V)
-        return np.asarray(np.exp(x[-2]) * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
+        return np.asarray(x[-2] * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
 
 
 def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lambda _: None) -> Model:
@@ -143,23 +142,23 @@ def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lamb
             both_branches=slow.half_width_V is not None,
         )
         start = unknowns.start
-        if structure.core:
-            start = np.concatenate([start, np.log(CORE_START)])
+        if structure.core is not None:
+            start = np.concatenate([start, _core_unknowns(structure.core.start)])
         return Model(unknowns, OcvRows([slow.at(T) for T in temperature_degC]), slow.capacity_Ah, start)
 
     train, judge = _alternate(tests, 0), _alternate(tests, 1)
     held_out_mV: dict[str, float] = {}
     best: Model | None = None
-    candidates = [Structure(pairs, hysteresis=hysteresis) for pairs in (2, 3)]
-    for structure in candidates:
-        best = _better(best, build(structure), train, judge, held_out_mV, progress)
+    for pairs in (2, 3):
+        best = _better(best, build(Structure(pairs, hysteresis)), train, judge, held_out_mV, progress)
     assert best is not None
-    warmed = Structure(best.unknowns.structure.pairs, core=True, hysteresis=hysteresis)
-    warm = build(warmed)
-    warm.x[: best.x.size] = best.x
-    best = _better(best, warm, train, judge, held_out_mV, progress)
+    coreless = best
+    for core in CORES:
+        loaded = build(Structure(coreless.unknowns.structure.pairs, hysteresis, core))
+        loaded.x[: coreless.x.size] = coreless.x
+        best = _better(best, loaded, train, judge, held_out_mV, progress)
     progress(f"fitting {best.unknowns.structure} to all")
-    model = fit(best, tests, evaluations=30, kept=KEPT)
+    model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4)
     model.held_out_mV = held_out_mV
     return model
 
@@ -181,7 +180,7 @@ def ocv_slope_V(slow: ocv.Slow) -> Array:
     return np.clip(rise_V / (right - left), 0.05, 3.0)
 
 
-def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int) -> Model:
+def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, ftol: float = 1e-3) -> Model:
     """`model` fitted to the counted rows of the tests, from where it stands."""
     strides = [max(1, test.soc.size // kept) for test in tests]
     weights = [_weights(model, test, stride) for test, stride in zip(tests, strides, strict=True)]
@@ -189,9 +188,9 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int) 
     extra = model.x.size - unknowns.size
     prior = np.hstack([unknowns.prior, np.zeros((len(unknowns.prior), extra))])
     target = unknowns.prior_target
-    if extra:  # a core temperature: its logarithms near the start
-        prior = np.vstack([prior, 30.0 * np.eye(model.x.size)[-extra:]])
-        target = np.concatenate([target, 30.0 * np.log(CORE_START)])
+    if unknowns.structure.core is not None:
+        prior = np.vstack([prior, np.diag(CORE_WEIGHT) @ np.eye(model.x.size)[-extra:]])
+        target = np.concatenate([target, [0.0, CORE_WEIGHT[1] * np.log(unknowns.structure.core.start[1])]])
 
     def residuals(x: Array) -> Array:
         errors = [
@@ -210,7 +209,7 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int) 
     lower, upper = bounds(model)
     start = np.clip(model.x, lower + 1e-6, upper - 1e-6)
     found = least_squares(
-        residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=1e-3, max_nfev=evaluations
+        residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
     )
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
     data = found.fun[: -len(prior)]
@@ -226,7 +225,14 @@ def bounds(model: Model) -> tuple[Array, Array]:
     unknowns = model.unknowns
     for columns, low, high in unknowns.limits():
         lower[columns], upper[columns] = low, high
+    if unknowns.structure.core is not None:
+        lower[-2:], upper[-2:] = map(_core_unknowns, (unknowns.structure.core.lower, unknowns.structure.core.upper))
     return lower, upper
+
+
+def _core_unknowns(core: tuple[float, float]) -> Array:
+    """K/W as it is, the time constant as a logarithm."""
+    return np.array([core[0], np.log(core[1])])
 
 
 def error_mV(model: Model, tests: Sequence[Samples], low: float = 0.1, high: float = 0.9) -> list[float]:
@@ -249,7 +255,7 @@ def _better(
     """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
     name = str(model.unknowns.structure)
     progress(f"trying {name}")
-    model = fit(model, train, evaluations=15, kept=KEPT // 3)
+    model = fit(model, train, evaluations=15, kept=KEPT // 2)
     drives = [test for test in judge if test.test.role == "drive"] or judge
     # The geometric mean: a hard test must not outvote the others.
     held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))

@@ -43,17 +43,36 @@ SCALE_SIZE, SCALE_KINK, SCALE_BETWEEN = 2000.0, 100.0, 300.0
 
 
 @dataclass(slots=True, frozen=True)
+class Core:
+    """A temperature of the tables that follows the heat of the load: K/W and s, where they start and may go."""
+
+    name: str
+    start: tuple[float, float]
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+
+
+# Two things make a loaded cell differ from its surface temperature: its core is warmer, and its electrodes deplete,
+# which raises the resistances as if it were colder. The sign of K/W says which of them prevails.
+CORES = (
+    Core("warmer core", (1.0, 600.0), (0.0, 100.0), (20.0, 5000.0)),
+    Core("depletion under load", (-1.0, 60.0), (-10.0, 20.0), (0.0, 300.0)),
+)
+CORE_WEIGHT = (20.0, 100.0)  # mV for 1 K/W, and for leaving the start of the time constant by a factor of e
+
+
+@dataclass(slots=True, frozen=True)
 class Structure:
     """What the model has; chosen by the error on rows left out of the fit."""
 
     pairs: int
-    core: bool = False
     hysteresis: bool = False
+    core: Core | None = None
 
     def __str__(self) -> str:
         parts = [f"{self.pairs} RC"]
         parts += ["hysteresis"] if self.hysteresis else []
-        return ", ".join([*parts, "core temperature"] if self.core else parts)
+        return ", ".join([*parts, self.core.name] if self.core else parts)
 
 
 class Unknowns:
