@@ -131,12 +131,7 @@ class Unknowns:
         self._believe_the_rest()
         self.start = np.concatenate([*self._starts, np.zeros(self.size - self.n_tables)])
         self.start[self.rate] = np.log(RATE_START)
-        self.prior = np.zeros((sum(len(rows) for _, rows, _ in self._beliefs), self.size))
-        self.prior_target = np.concatenate([target for _, _, target in self._beliefs])
-        row = 0
-        for first, rows, _ in self._beliefs:
-            self.prior[row : row + len(rows), first : first + rows.shape[1]] = rows
-            row += len(rows)
+        self.prior, self.prior_target = self._beliefs_together()
 
     def tables(self, x: Array) -> Array:
         """Logarithms of all tables, shape (channels, temperatures, soc)."""
@@ -201,6 +196,16 @@ class Unknowns:
             self._believe(self.ocv.start, 1e3 * matrix)
         for matrix in (SCALE_SIZE * np.eye(rows), SCALE_KINK * kink_T, SCALE_BETWEEN * between):
             self._believe(self.scale.start, matrix)
+
+    def _beliefs_together(self) -> tuple[Array, Array]:
+        """Matrix and targets of all beliefs, in as few rows as there are unknowns: of the same least squares."""
+        matrix = np.zeros((sum(len(rows) for _, rows, _ in self._beliefs), self.size))
+        row = 0
+        for first, rows, _ in self._beliefs:
+            matrix[row : row + len(rows), first : first + rows.shape[1]] = rows
+            row += len(rows)
+        q, r = np.linalg.qr(matrix)
+        return r, q.T @ np.concatenate([target for _, _, target in self._beliefs])
 
     def _believe(self, first: int, rows: Real, target: Array | None = None) -> None:
         target = np.zeros(len(rows)) if target is None else target
