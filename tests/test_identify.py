@@ -265,6 +265,33 @@ def test_no_slow_test_is_one_line() -> None:
         ocv.analyse(manifest(), [], "m")
 
 
+def test_rests_between_pulses_stand_in_for_a_slow_test() -> None:
+    levels = np.linspace(1, 0.05, 20)
+    soc = np.repeat(levels, 40)
+    current_A = np.where(np.arange(soc.size) % 40 < 5, 3.0, 0.0)
+    voltage_V = ocv_V(soc) - 0.03 * current_A
+    time_s = np.arange(soc.size) * 60.0
+    columns = (time_s, current_A, voltage_V, np.full(soc.size, 25.0), (1 - soc) * CAPACITY_AH)
+    pulses = Recording("pulses", *columns)
+    test = MeasuredTest(role="pulse", file="p", temperature_degC=25.0)
+    slow = ocv.from_rests(manifest(capacity_Ah=CAPACITY_AH), [(test, pulses, soc)], "m")
+    inside = (ocv.SOC > 0.1) & (ocv.SOC < 0.95)
+    np.testing.assert_allclose(slow.at(25.0)[inside], ocv_V(ocv.SOC)[inside], atol=5e-3)
+    with pytest.raises(ConfigError, match="capacity_Ah"):
+        ocv.from_rests(manifest(), [(test, pulses, soc)], "m")
+
+
+def test_one_temperature_is_enough(made_up: Path, tmp_path: Path) -> None:
+    """Tables need two rows to interpolate; the second is an Arrhenius guess."""
+    text = made_up.read_text()
+    head, *entries = text.split("[[test]]")
+    (tmp_path / "m.toml").write_text("[[test]]".join([head, *[e for e in entries if "_0.csv" not in e]]))
+    for name in ("slow.csv", "fit_25.csv", "validate_25.csv"):
+        (tmp_path / name).write_bytes((made_up.parent / name).read_bytes())
+    alone = identify.run(tmp_path / "m.toml")
+    assert 1e3 * alone.predictions["validate"][0].rmse_V() < 5
+
+
 def test_charge_efficiency_comes_from_the_reference() -> None:
     rng = np.random.default_rng(6)
     current_A = rng.normal(0.3, 3, 20000)

@@ -20,7 +20,8 @@ from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.identify import cellfile, dynamics, noise, ocv, openloop, samples, warn
 from bms_ukf.identify.samples import Samples
-from bms_ukf.manifest import Manifest
+from bms_ukf.manifest import Manifest, MeasuredTest
+from bms_ukf.recordings import Recording
 
 
 @dataclass(slots=True)
@@ -71,9 +72,10 @@ def load(
         recordings.append((test, samples.load(path, tests, test)))
     warnings = [warning for _, recording in recordings for warning in recording.warnings]
     progress("open-circuit voltage")
-    slow = ocv.analyse(tests, [pair for pair in recordings if pair[0].role == "ocv"], str(path))
-    warnings += slow.warnings
     moving = [pair for pair in recordings if pair[0].role != "ocv"]
+    still = [pair for pair in recordings if pair[0].role == "ocv"]
+    slow = ocv.analyse(tests, still, str(path)) if still else _from_rests(tests, moving, path)
+    warnings += slow.warnings
     efficiency = (
         samples.coulombic_efficiency([pair for pair in moving if pair[0].use == "fit"], slow.capacity_Ah) or 1.0
     )
@@ -83,6 +85,13 @@ def load(
         warnings += warn.about_count(recording, test, soc, str(path))
         chosen[test.use].append(samples.sample(recording, test, soc))
     return slow, chosen, efficiency, warnings
+
+
+def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
+    pulses = [pair for pair in moving if pair[0].role == "pulse" and pair[0].use == "fit"]
+    capacity_Ah = tests.capacity_Ah or 1.0  # without one it is refused, whatever the SoC
+    counted = [(test, recording, samples.counted_soc(recording, test, capacity_Ah, 1.0)) for test, recording in pulses]
+    return ocv.from_rests(tests, counted, str(path))
 
 
 def _noise(

@@ -10,7 +10,7 @@ where p_j is (r_j i)^2 passed through a low-pass of time constant tau_j / 2: the
 noise builds up. The squares of the sigmas are the non-negative least-squares solution over all stretches and lags,
 each stretch weighted by the <e^2> that the solution itself expects of it (iterated). At last they are scaled to cover
 nine stretches of ten: errors are not spread evenly over a drive, and a filter that is told their mean is too sure where
-they are large.
+they are large. What even the best stretches show is an error of the OCV, made by no current: the slowest pair has it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ STEP_S = 1.0
 STRETCH = 900  # rows: longer than the fast pairs' memory, shorter than a change of SoC that matters
 LAGS = np.array([0, 1, 2, 5, 10, 20, 50, 100, 200, 400])
 HELD = 0.9  # the share of the stretches whose <e^2> the sigmas shall cover
-FLOOR_V = 5e-4  # no voltage model is better than this on a real cell
+BEST = 0.2  # the share of the stretches that count as the best
+FLOOR_V = 1e-3  # no voltage model is better than this on a real cell
 MOST_V, MOST_REL = 0.3, 1.5  # within what a cell file allows
 
 
@@ -52,7 +53,9 @@ def estimate(predictions: Sequence[Prediction], pairs: int, *, factor: float = 1
         unit = np.sqrt(np.mean(weighted**2, axis=0)) + 1e-30
         squares = nnls(weighted / unit, (b * weight).ravel())[0] / unit
     squares *= np.quantile(b[:, 0] / np.maximum(a[:, 0] @ squares, FLOOR_V**2), HELD)
-    return _named(np.sqrt(squares), pairs)
+    sigmas = np.sqrt(squares)
+    sigmas[1 + pairs] = max(sigmas[1 + pairs], float(np.sqrt(np.quantile(b[:, 0], BEST))))
+    return _named(sigmas, pairs)
 
 
 def _stretches(prediction: Prediction, pairs: int, factor: float) -> tuple[list[Array], list[Array]]:

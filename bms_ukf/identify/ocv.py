@@ -27,6 +27,7 @@ SOC = np.unique(
 LEAST_SLOPE_V = 2e-3  # per unit of SoC: flat enough for any plateau, and strictly rising
 CLOSES = 0.90  # a charge branch that reaches the upper limit below this SoC has lost count, or the cell its capacity
 SAME = 0.05  # two counts of the same capacity agree within this share
+REST_S, FEWEST_RESTS, REST_ERROR_V = 900.0, 6, 5e-3  # a rest that tells the OCV, how many, and how well
 SMOOTHING = 2e-4  # V: what a kink of 1 V per unit SoC and knot costs, against 1 V of misfit
 
 
@@ -115,6 +116,32 @@ def analyse(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]
     return Slow(capacity_Ah, both or curves, drawn_Ah, warnings)
 
 
+def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording, Array]], source: str) -> Slow:
+    """The OCV from the ends of long rests, of tests given with their SoC, where there is no slow test.
+
+    Raises ConfigError if the rests are too few to draw a curve through.
+    """
+    points: dict[float, list[tuple[float, float]]] = {}
+    for test, recording, soc in recordings:
+        resting = np.abs(recording.current_A) < 0.01 * np.abs(recording.current_A).max()
+        edges = np.flatnonzero(np.diff(resting.astype(int), prepend=0, append=0))
+        for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            if recording.time_s[end - 1] - recording.time_s[start] >= REST_S:
+                points.setdefault(test.temperature_degC, []).append((soc[end - 1], recording.voltage_V[end - 1]))
+    curves = []
+    for temperature, found in sorted(points.items()):
+        soc, voltage_V = np.array(sorted(found)).T
+        if soc.size >= FEWEST_RESTS and np.ptp(soc) > 0.5:
+            curve, _ = rising(soc, voltage_V)
+            curves.append(Curve(temperature, curve, np.full(SOC.size, REST_ERROR_V), None, 0.0, ("rest",)))
+    if not curves or tests.capacity_Ah is None:
+        expected = (
+            f"a test of role 'ocv', or capacity_Ah and pulse tests with {FEWEST_RESTS} rests of {REST_S:g} s or more"
+        )
+        raise ConfigError(source, key="test", expected=expected)
+    return Slow(tests.capacity_Ah, curves, {}, ["no slow test: the OCV is drawn through the ends of rests"])
+
+
 def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:
     """The smooth, strictly rising curve over `SOC` nearest to points of it, and its standard error.
 
@@ -140,7 +167,7 @@ def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tup
 
 
 def _runs(recording: Recording, test: MeasuredTest) -> list[Run]:
-    """Stretches of one direction that move at least a third of all charge."""
+    """Stretches of one direction that move at least a fifth of all charge."""
     busy = np.abs(recording.current_A) > 0.1 * np.abs(recording.current_A).max()
     sign = np.where(busy, np.sign(recording.current_A), 0)
     edges = np.flatnonzero(np.diff(sign, prepend=0, append=0))
@@ -148,7 +175,7 @@ def _runs(recording: Recording, test: MeasuredTest) -> list[Run]:
     runs = []
     for start, end in pairwise(edges.tolist()):
         moved_Ah = np.abs(recording.drawn_Ah[start:end] - recording.drawn_Ah[max(start - 1, 0)])
-        if sign[start] and end - start > 20 and moved_Ah[-1] > whole_Ah / 3:
+        if sign[start] and end - start > 20 and moved_Ah[-1] > whole_Ah / 5:
             direction = "discharge" if sign[start] > 0 else "charge"
             given = test.initial_soc if start == edges[0] else None
             start_soc = given if given is not None else float(direction == "discharge")
