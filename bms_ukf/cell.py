@@ -126,7 +126,7 @@ NO_KNEE_A = 1e6  # so far above any current that the drop is linear
 
 
 class Hysteresis(toml.Section):
-    """[hysteresis]: how far the OCV of [ocv], the mean of both directions, is from that of a long charge or discharge."""
+    """[hysteresis]: how far [ocv], the mean of both directions, is from the OCV of a long charge or discharge."""
 
     soc: Knots
     temperature_degC: Annotated[list[Temperature], Field(min_length=1)]
@@ -206,7 +206,7 @@ class CellParams(toml.Document):
 
         Linear in SoC; between temperatures in log over 1/T (Arrhenius), held beyond the first and last.
         """
-        dynamics = self.dynamics
+        dynamics, at = self.dynamics, np.asarray(soc, dtype=float)
         values = {}
         for key in _DYNAMICS_RANGES:
             table = getattr(dynamics, key)
@@ -216,10 +216,10 @@ class CellParams(toml.Document):
                 table = np.full_like(dynamics.r0_ohm, NO_KNEE_A)
             if table is not None:
                 row = np.exp(_row_at(dynamics.temperature_degC, np.log(table), temperature_degC))
-                values[key] = np.interp(soc, dynamics.soc, row)
+                values[key] = np.interp(at, dynamics.soc, row)
         if self.hysteresis is not None:
             row = _row_at(self.hysteresis.temperature_degC, np.array(self.hysteresis.max_V), temperature_degC)
-            values["hysteresis_V"] = np.interp(soc, self.hysteresis.soc, row)
+            values["hysteresis_V"] = np.interp(at, self.hysteresis.soc, row)
         return values
 
     def _ocv_row(self, temperature_degC: float) -> Array:
