@@ -43,7 +43,7 @@ class Samples:
         return np.asarray(np.cumsum(self.step_s))
 
 
-def load(path: Path, tests: Manifest, test: MeasuredTest, *, needs_sign_check: bool = True) -> Recording:
+def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
     """The recording of a test of the manifest at `path`: sign checked, voltage lag removed, leading soak cut."""
     sign = test.current_positive or tests.current_positive
     recording = read(
@@ -52,8 +52,7 @@ def load(path: Path, tests: Manifest, test: MeasuredTest, *, needs_sign_check: b
         current_hold=test.current_hold,
         temperature_degC=test.temperature_degC,
     )
-    if needs_sign_check:
-        require_sign(recording, sign)
+    require_sign(recording, sign)
     lag_s = estimate_voltage_lag_s(recording) if test.voltage_lag_s == "estimate" else test.voltage_lag_s
     if lag_s:
         recording = recording.with_voltage_lag(float(lag_s))

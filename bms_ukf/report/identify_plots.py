@@ -46,7 +46,7 @@ def render(found: Identified) -> Iterator[tuple[IdentifyPlot, bytes]]:
 
 def _colour(rank: int, count: int) -> tuple[float, float, float, float]:
     """From cold to warm."""
-    return colormaps["coolwarm"](rank / max(count - 1, 1))
+    return colormaps["viridis"](0.9 * rank / max(count - 1, 1))
 
 
 def _ocv(found: Identified, figure: Figure) -> None:
@@ -132,6 +132,6 @@ def _trace(voltage: Axes, error: Axes, use: str, prediction: Prediction) -> None
 
 PLOTS = (
     IdentifyPlot("ocv", "Open-circuit voltage and its slope by temperature; dotted: the slow test alone.", _ocv, 3.6),
-    IdentifyPlot("tables", "Tables of the cell file over SoC, from cold (blue) to warm (red).", _tables, 9.0),
+    IdentifyPlot("tables", "Tables of the cell file over SoC, from cold (dark) to warm (light).", _tables, 9.0),
     IdentifyPlot("errors", "Distribution of the voltage error between 10 and 90 % SoC, test by test.", _errors, 3.4),
 )
