@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from bms_ukf import pchip
 from bms_ukf.identify import ocv
+from bms_ukf.identify.ocv_rows import OcvRows
 from bms_ukf.identify.samples import Samples, at
 from bms_ukf.identify.simulate import Place, between, drop, lowpass
 from bms_ukf.identify.tables import CORE_WEIGHT, CORES, OCV_SOC, SOC, ZERO_CELSIUS_K, Structure, Unknowns
@@ -27,28 +27,8 @@ SOC_ERROR = 0.005  # of the count: where the OCV is steep, a row says less
 SCALE_V = 1e-3  # residuals are in mV
 ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs, as rows of error
 KEPT = 700  # rows of a test that enter the least squares
-BELOW_EMPTY, BELOW_EMPTY_V = -0.25, 0.25  # the OCV goes on below SoC 0, for a cell that holds less than it should
 BLOCK_SHARE = 1 / 24  # of a test, for the blocks that are left out in turn
 WORTH_IT = 0.99  # share of the error on rows left out that more structure may leave at most
-
-
-class OcvRows:
-    """OCV and slope at every temperature row over SoC, before any correction: PCHIP, straight below empty."""
-
-    def __init__(self, rows_V: Sequence[Array]) -> None:
-        soc = np.concatenate([[BELOW_EMPTY], ocv.SOC])
-        self.knots = soc
-        self.cubics = np.stack(
-            [pchip.coefficients(soc, np.concatenate([[row[0] - BELOW_EMPTY_V], row])) for row in rows_V]
-        )
-
-    def __call__(self, row: NDArray[np.int64], soc: Array) -> tuple[Array, Array]:
-        """OCV, V, and its slope, V per unit of SoC, at rows of the table (same shape as `soc`)."""
-        soc = np.clip(soc, BELOW_EMPTY, 1.0)
-        k = np.clip(np.searchsorted(self.knots, soc, side="right") - 1, 0, self.knots.size - 2)
-        c, d = self.cubics[row, k], soc - self.knots[k]
-        value = c[..., 0] + d * (c[..., 1] + d * (c[..., 2] + d * c[..., 3]))
-        return value, c[..., 1] + d * (2 * c[..., 2] + d * 3 * c[..., 3])
 
 
 SPLINES = CubicSpline(OCV_SOC, np.eye(OCV_SOC.size), bc_type="natural")  # cardinal: one column for each knot
@@ -70,7 +50,7 @@ class Model:
         """K/W and s of the core temperature, the last two unknowns; None without."""
         if self.unknowns.structure.core is None:
             return None
-        return float(self.x[-2]), float(np.exp(self.x[-1]))
+        return float(self.x[-2]) / self.capacity_Ah, float(np.exp(self.x[-1]))
 
     def simulate(self, test: Samples) -> Array:
         """Predicted terminal voltage at every row, V."""
@@ -121,7 +101,7 @@ class Model:
         row = np.argmin(np.abs(self.unknowns.temperature_degC - 25))
         ocv_V, _ = self.ocv(np.full(test.soc.size, row), test.soc)
         heat_W = test.current_A * (ocv_V - test.voltage_V)
-        return np.asarray(x[-2] * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
+        return np.asarray(x[-2] / self.capacity_Ah * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
 
 
 def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lambda _: None) -> Model:
@@ -155,10 +135,14 @@ def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lamb
     coreless = best
     for core in CORES:
         loaded = build(Structure(coreless.unknowns.structure.pairs, hysteresis, core))
-        loaded.x[: coreless.x.size] = coreless.x
-        best = _better(best, loaded, train, judge, held_out_mV, progress)
-    progress(f"fitting {best.unknowns.structure} to all")
-    model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4)
+        best = _better(best, _with_core(coreless, loaded), train, judge, held_out_mV, progress)
+    chosen = best.unknowns.structure
+    progress(f"fitting {chosen} to all")
+    if chosen.core is None:
+        model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4)
+    else:  # the load's heat is told from what is left without it, not from where half of the rows led
+        without = fit(build(Structure(chosen.pairs, hysteresis)), tests, evaluations=15, kept=KEPT)
+        model = fit(_with_core(without, best), tests, evaluations=20, kept=KEPT, ftol=2e-4)
     model.held_out_mV = held_out_mV
     return model
 
@@ -230,8 +214,16 @@ def bounds(model: Model) -> tuple[Array, Array]:
     return lower, upper
 
 
+def _with_core(without: Model, structure: Model) -> Model:
+    """A fit without core as the start of one with it: the core where its structure starts."""
+    core = structure.unknowns.structure.core
+    assert core is not None
+    start = np.concatenate([without.x, _core_unknowns(core.start)])
+    return Model(structure.unknowns, structure.ocv, structure.capacity_Ah, start)
+
+
 def _core_unknowns(core: tuple[float, float]) -> Array:
-    """K/W as it is, the time constant as a logarithm."""
+    """K Ah/W as it is, the time constant as a logarithm."""
     return np.array([core[0], np.log(core[1])])
 
 
@@ -255,7 +247,7 @@ def _better(
     """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
     name = str(model.unknowns.structure)
     progress(f"trying {name}")
-    model = fit(model, train, evaluations=15, kept=KEPT // 2)
+    model = fit(model, train, evaluations=15, kept=300)
     drives = [test for test in judge if test.test.role == "drive"] or judge
     # The geometric mean: a hard test must not outvote the others.
     held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))

@@ -44,7 +44,7 @@ SCALE_SIZE, SCALE_KINK, SCALE_BETWEEN = 2000.0, 100.0, 300.0
 
 @dataclass(slots=True, frozen=True)
 class Core:
-    """A temperature of the tables that follows the heat of the load: K/W and s, where they start and may go."""
+    """A temperature of the tables that follows the heat of the load: K/W for each 1/Ah and s, start and limits."""
 
     name: str
     start: tuple[float, float]
@@ -55,10 +55,10 @@ class Core:
 # Two things make a loaded cell differ from its surface temperature: its core is warmer, and its electrodes deplete,
 # which raises the resistances as if it were colder. The sign of K/W says which of them prevails.
 CORES = (
-    Core("warmer core", (1.0, 600.0), (0.0, 100.0), (20.0, 5000.0)),
-    Core("depletion under load", (-1.0, 60.0), (-10.0, 20.0), (0.0, 300.0)),
+    Core("warmer core", (3.0, 600.0), (0.0, 100.0), (60.0, 5000.0)),
+    Core("depletion under load", (-9.0, 80.0), (-30.0, 20.0), (0.0, 300.0)),
 )
-CORE_WEIGHT = (20.0, 100.0)  # mV for 1 K/W, and for leaving the start of the time constant by a factor of e
+CORE_WEIGHT = (1.0, 100.0)  # mV for 1 K Ah/W, and for leaving the start of the time constant by a factor of e
 
 
 @dataclass(slots=True, frozen=True)
