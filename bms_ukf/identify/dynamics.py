@@ -247,7 +247,7 @@ def _better(
     """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
     name = str(model.unknowns.structure)
     progress(f"trying {name}")
-    model = fit(model, train, evaluations=15, kept=300)
+    model = fit(model, train, evaluations=15, kept=KEPT // 2)
     drives = [test for test in judge if test.test.role == "drive"] or judge
     # The geometric mean: a hard test must not outvote the others.
     held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))
