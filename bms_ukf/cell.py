@@ -144,7 +144,10 @@ class Hysteresis(toml.Section):
 
 
 class Thermal(toml.Section):
-    """[thermal]: the core, whose temperature the tables are read at, above the surface, which is measured."""
+    """[thermal]: the temperature the tables are read at, above that of the surface, which is measured.
+
+    Above 0 it is that of a core warmer than the surface; below 0, depletion under load outweighs the warmth.
+    """
 
     core_K_per_W: Annotated[float, Field(gt=-1000, lt=1000)]
     core_tau_s: Annotated[float, Field(gt=0, lt=1e6)]

@@ -100,6 +100,35 @@ def diagnose(cell: str, soc: float, sigma: float, temperature: float, json_path:
         _write_json(json_path, found)
 
 
+@cli.command("identify")
+@click.argument("manifest", type=PATH)
+@click.option("--out", type=PATH, required=True, callback=_writable, help="Write the cell file here.")
+@click.option("--report", type=PATH, help="Write a page with plots here, or plots and page into this folder.")
+def identify_(manifest: Path, out: Path, report: Path | None) -> None:
+    """Make a cell file from the measured tests a MANIFEST lists."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from bms_ukf import identify
+    from bms_ukf.report.identify import error_rows, write_report
+
+    console = Console(stderr=True)
+    with console.status("identify") as status:
+        found = identify.run(manifest, status.update)
+    try:
+        out.write_text(found.text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(out, expected=f"a file that can be written ({error.strerror})") from None
+    table = Table("test", "use", "RMSE", "bias", "temperature", title="voltage error, open loop, 10 to 90 % SoC")
+    for row in error_rows(found):
+        table.add_row(*row)
+    console.print(table)
+    for warning in found.warnings:
+        console.print(f"warning: {warning}", style="yellow", highlight=False)
+    if report is not None:
+        write_report(report, found)
+
+
 def _write_json(path: Path, data: dict[str, Any]) -> None:
     try:
         path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -32,12 +32,16 @@ MAY_IMPORT = {
     "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
     "estimator": {"cell", "errors", "kernel", "records", "tuning"},
     "filter": {"cell", "kernel", "records", "tuning"},
+    "recordings": {"errors", "recordings"},
+    "manifest": {"cell", "errors", "toml"},
+    "identify": {"cell", "errors", "identify", "manifest", "pchip", "recordings", "toml"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {
-    "numba": {"kernel"},
+    "numba": {"identify", "kernel"},
+    "pyarrow": {"recordings"},
     "llvmlite": {"kernel"},
     "fmpy": {"fmu", "plant"},
     "cantools": CODEC,

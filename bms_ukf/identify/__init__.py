@@ -1,0 +1,129 @@
+"""From measured tests of a cell to its cell file.
+
+`run` is the whole recipe: read and check the tests, open-circuit voltage from the slow ones, dynamics by open-loop
+simulation of the others, noise from errors on tests that were not fitted, and the cell file checked as it will be
+loaded.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bms_ukf import toml
+from bms_ukf.cell import CellParams
+from bms_ukf.errors import ConfigError
+from bms_ukf.identify import cellfile, dynamics, noise, ocv, openloop, samples, warn
+from bms_ukf.identify.samples import Samples
+from bms_ukf.manifest import Manifest, MeasuredTest
+from bms_ukf.recordings import Recording
+
+
+@dataclass(slots=True)
+class Identified:
+    """A cell file and what there is to know of how it came about."""
+
+    tests: Manifest
+    text: str  # the cell file
+    cell: CellParams
+    model: dynamics.Model
+    slow: ocv.Slow
+    predictions: dict[str, list[openloop.Prediction]]  # of the cell file, by "fit" and "validate"
+    warnings: list[str] = field(default_factory=list)
+
+
+def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identified:
+    """The cell file that the manifest at `path` asks for. Raises ConfigError for data that cannot be used."""
+    tests = Manifest.load(path)
+    slow, chosen, efficiency, warnings = load(path, tests, progress)
+    fitted = chosen["fit"]
+    if not fitted:
+        expected = "at least one of role 'pulse', 'drive' or 'charge' to fit"
+        raise ConfigError(path, key="test", expected=expected)
+    model = dynamics.identify(fitted, slow, progress)
+    progress("noise and checks")
+    found = cellfile.sections(tests, model, slow, fitted, efficiency)
+    draft = _loaded(found | {"noise": _draft_noise(model)}, path)
+    judged = {use: [openloop.predict(draft, test) for test in group] for use, group in chosen.items()}
+    found["noise"] = _noise(judged, model, found)
+    rmse_mV = {
+        use: {_label(test): round(1e3 * seen.rmse_V(), 1) for test, seen in zip(group, judged[use], strict=True)}
+        for use, group in chosen.items()
+    }
+    found |= cellfile.provenance(path, tests, model.held_out_mV, rmse_mV)
+    title = f"{tests.cell}: {tests.chemistry}, identified from measured tests; bms_ukf/cell.py explains every key."
+    text = cellfile.to_toml(found, title)
+    warnings += warn.about(model, slow, chosen, judged)
+    return Identified(tests, text, _loaded(found, path), model, slow, judged, warnings)
+
+
+def load(
+    path: Path, tests: Manifest, progress: Callable[[str], None] = lambda _: None
+) -> tuple[ocv.Slow, dict[str, list[Samples]], float, list[str]]:
+    """All tests of a manifest: the slow ones analysed, the others sampled by use; charge efficiency; warnings."""
+    recordings = []
+    for test in tests.test:
+        progress(f"reading {Path(test.file).name}")
+        recordings.append((test, samples.load(path, tests, test)))
+    warnings = [warning for _, recording in recordings for warning in recording.warnings]
+    progress("open-circuit voltage")
+    moving = [pair for pair in recordings if pair[0].role != "ocv"]
+    still = [pair for pair in recordings if pair[0].role == "ocv"]
+    slow = ocv.analyse(tests, still, str(path)) if still else _from_rests(tests, moving, path)
+    warnings += slow.warnings
+    efficiency = (
+        samples.coulombic_efficiency([pair for pair in moving if pair[0].use == "fit"], slow.capacity_Ah) or 1.0
+    )
+    chosen: dict[str, list[Samples]] = {"fit": [], "validate": []}
+    for test, recording in moving:
+        soc = samples.counted_soc(recording, test, slow.capacity_Ah, efficiency)
+        warnings += warn.about_count(recording, test, soc, str(path))
+        chosen[test.use].append(samples.sample(recording, test, soc))
+    return slow, chosen, efficiency, warnings
+
+
+def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
+    pulses = [pair for pair in moving if pair[0].role == "pulse" and pair[0].use == "fit"]
+    capacity_Ah = tests.capacity_Ah or 1.0  # without one it is refused, whatever the SoC
+    counted = [(test, recording, samples.counted_soc(recording, test, capacity_Ah, 1.0)) for test, recording in pulses]
+    return ocv.from_rests(tests, counted, str(path))
+
+
+def _noise(
+    judged: dict[str, list[openloop.Prediction]], model: dynamics.Model, found: dict[str, Any]
+) -> dict[str, float]:
+    """From tests never fitted; without any, from the fitted ones, enlarged as rows left out of the choice tell."""
+    pairs = model.unknowns.structure.pairs
+    if judged["validate"]:
+        values = noise.estimate(judged["validate"], pairs)
+    else:
+        seen_mV = float(np.nanmean([1e3 * prediction.rmse_V() for prediction in judged["fit"]]))
+        left_out_mV = model.held_out_mV[str(model.unknowns.structure)]
+        values = noise.estimate(judged["fit"], pairs, factor=max(1.5, left_out_mV / max(seen_mV, 0.1)))
+    if "hysteresis" in found:
+        values["hysteresis_sigma_V"] = round(max(0.3 * float(np.median(found["hysteresis"]["max_V"])), 5e-4), 4)
+    return values
+
+
+def _draft_noise(model: dynamics.Model) -> dict[str, float]:
+    """Something to load the file with before its noise is known."""
+    pairs = model.unknowns.structure.pairs
+    values = {"voltage_sigma_V": 0.01, "r0_rel_sigma": 0.1, "rc_rel_sigma": 0.1}
+    values |= {f"v_rc{j + 1}_sigma_V": 0.01 for j in range(pairs)}
+    return values | ({"hysteresis_sigma_V": 0.01} if model.unknowns.structure.hysteresis else {})
+
+
+def _loaded(found: dict[str, dict[str, Any]], path: Path) -> CellParams:
+    """The sections as the cell file they will be."""
+    return toml.validate(tomllib.loads(cellfile.to_toml(found, "draft")), CellParams, f"the cell file from {path.name}")
+
+
+def _label(test: Samples) -> str:
+    first, last = test.test.part
+    whole = (first, last) == (0.0, 1.0)
+    return test.name if whole else f"{test.name} {100 * first:.0f}-{100 * last:.0f} %"

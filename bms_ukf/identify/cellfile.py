@@ -1,0 +1,138 @@
+"""An identified model as a cell file: tables at the precision they have, units in the keys, and their provenance."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bms_ukf import manifest
+from bms_ukf.identify import ocv
+from bms_ukf.identify.dynamics import SPLINES, Model
+from bms_ukf.identify.samples import Samples
+from bms_ukf.identify.simulate import HYSTERESIS, KNEE, R0, R0_CHARGE, R1
+from bms_ukf.identify.tables import SOC
+from bms_ukf.manifest import Manifest
+
+Array = NDArray[np.float64]
+Sections = dict[str, dict[str, Any]]
+
+EDGE_V = 0.25  # how far an OCV may run beyond the voltage limits; `CellParams` refuses 0.3 V
+LIMITS_MARGIN_K = 5.0
+
+
+def sections(tests: Manifest, model: Model, slow: ocv.Slow, samples: Sequence[Samples], efficiency: float) -> Sections:
+    """The sections of a cell file but for [noise] and [provenance]."""
+    unknowns = model.unknowns
+    tables = np.exp(unknowns.tables(model.x))
+    temperatures = [float(T) for T in unknowns.temperature_degC]
+    current_A = np.concatenate([test.current_A for test in samples])
+    capacity_Ah = slow.capacity_Ah
+    dynamics: dict[str, Any] = {"soc": SOC, "temperature_degC": temperatures, "r0_ohm": _figures(tables[R0])}
+    if not np.allclose(tables[R0_CHARGE], tables[R0], rtol=1e-3):
+        dynamics["r0_charge_ohm"] = _figures(tables[R0_CHARGE])
+    dynamics["r0_knee_A"] = _figures(tables[KNEE], 3)
+    for j in range(unknowns.structure.pairs):
+        dynamics[f"r{j + 1}_ohm"] = _figures(tables[R1 + 2 * j])
+        dynamics[f"tau{j + 1}_s"] = _figures(tables[R1 + 2 * j + 1], 3)
+    found: Sections = {
+        "cell": {
+            "name": tests.cell,
+            "chemistry": tests.chemistry,
+            "capacity_Ah": round(float(capacity_Ah), 4),
+            "coulombic_efficiency": round(efficiency, 5),
+            "voltage_limits_V": tests.voltage_limits_V,
+            "current_limits_A": [
+                round(min(float(current_A.min()), -0.5 * capacity_Ah), 1),
+                round(max(float(current_A.max()), capacity_Ah), 1),
+            ],
+            "temperature_limits_degC": [temperatures[0] - LIMITS_MARGIN_K, temperatures[-1] + LIMITS_MARGIN_K],
+        },
+        "ocv": {"temperature_degC": temperatures, "soc": ocv.SOC, "voltage_V": ocv_rows(model, tests).round(5)},
+        "dynamics": dynamics,
+    }
+    if unknowns.structure.hysteresis:
+        found["hysteresis"] = {
+            "soc": SOC,
+            "temperature_degC": temperatures,
+            "max_V": tables[HYSTERESIS].round(5),
+            "rate": round(float(np.exp(model.x[unknowns.rate])), 2),
+        }
+    if model.core is not None:
+        found["thermal"] = dict(zip(("core_K_per_W", "core_tau_s"), (round(x, 3) for x in model.core), strict=True))
+    return found
+
+
+def ocv_rows(model: Model, tests: Manifest) -> Array:
+    """OCV at every temperature row over `ocv.SOC`: the slow test's, its correction, and strictly rising again."""
+    unknowns = model.unknowns
+    low, high = tests.voltage_limits_V
+    rows = []
+    for row, scale in enumerate(np.exp(model.x[unknowns.scale])):
+        voltage_V, _ = model.ocv(np.full(ocv.SOC.size, row), 1 - (1 - ocv.SOC) * scale)
+        voltage_V = voltage_V + SPLINES(ocv.SOC) @ unknowns.correction_V(model.x)[row]
+        curve, _ = ocv.rising(ocv.SOC, voltage_V, smoothing=ocv.SMOOTHING / 100)
+        lifted = np.maximum(curve, low - EDGE_V + ocv.LEAST_SLOPE_V * ocv.SOC)
+        rows.append(np.minimum(lifted, high + EDGE_V - ocv.LEAST_SLOPE_V * (1 - ocv.SOC)))
+    return np.array(rows)
+
+
+def provenance(
+    path: Path, tests: Manifest, held_out_mV: dict[str, float], rmse_mV: dict[str, dict[str, float]]
+) -> Sections:
+    """Who made the file, when, of what, and how well it does."""
+    try:
+        tool = f"bms-ukf {version('bms-ukf')}"
+    except PackageNotFoundError:
+        tool = "bms-ukf (not installed as a package)"
+    files = {test.file: _sha256(manifest.find(path, test.file)) for test in tests.test}
+    return {
+        "provenance": {
+            "made_by": f"bms-ukf identify {path.name}",
+            "tool": tool,
+            "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+            "manifest_sha256": _sha256(path),
+        },
+        "provenance.held_out_rmse_mV": {name: round(value, 2) for name, value in held_out_mV.items()},
+        **{f"provenance.{use}_rmse_mV": values for use, values in rmse_mV.items() if values},
+        "provenance.sha256": files,
+    }
+
+
+def to_toml(found: Sections, title: str) -> str:
+    """The text of a cell file."""
+    lines = [f"# {title}", "format = 1"]
+    for section, values in found.items():
+        lines.append(f"\n[{section}]")
+        lines += [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _figures(table: Array, digits: int = 4) -> Array:
+    """Rounded to significant digits: resistances of large cells are small numbers."""
+    power = 10.0 ** (digits - 1 - np.floor(np.log10(table)))
+    return np.asarray(np.round(table * power) / power)
+
+
+def _key(key: str) -> str:
+    return key if key.isidentifier() else _value(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    if np.ndim(value) == 0:
+        return f"{float(value):.10g}" if float(value) % 1 or abs(float(value)) > 1e9 else f"{float(value):.1f}"
+    if np.ndim(value) == 1:
+        return f"[{', '.join(map(_value, value))}]"
+    return "[\n" + "".join(f"    {_value(row)},\n" for row in value) + "]"
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

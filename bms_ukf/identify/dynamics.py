@@ -1,0 +1,286 @@
+"""Fits the tables of the cell model to tests, by least squares of the open-loop voltage error.
+
+One structure after the other is fitted to half of the rows, in alternating blocks, and judged by the other half; the
+best is then fitted to all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+
+from bms_ukf.identify import ocv
+from bms_ukf.identify.ocv_rows import OcvRows
+from bms_ukf.identify.samples import Samples, at
+from bms_ukf.identify.simulate import Place, between, drop, lowpass
+from bms_ukf.identify.tables import CORE_WEIGHT, CORES, OCV_SOC, SOC, ZERO_CELSIUS_K, Structure, Unknowns
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+SOC_ERROR = 0.005  # of the count: where the OCV is steep, a row says less
+SCALE_V = 1e-3  # residuals are in mV
+ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs, as rows of error
+KEPT = 700  # rows of a test that enter the least squares
+BLOCK_SHARE = 1 / 24  # of a test, for the blocks that are left out in turn
+WORTH_IT = 0.99  # share of the error on rows left out that more structure may leave at most
+
+
+SPLINES = CubicSpline(OCV_SOC, np.eye(OCV_SOC.size), bc_type="natural")  # cardinal: one column for each knot
+
+
+@dataclass(slots=True)
+class Model:
+    """A fitted model, still in the fit's own terms."""
+
+    unknowns: Unknowns
+    ocv: OcvRows
+    capacity_Ah: float
+    x: Array
+    sigma: Array | None = None  # of x, one standard error
+    held_out_mV: dict[str, float] = field(default_factory=dict)  # error on rows left out, by structure
+
+    @property
+    def core(self) -> tuple[float, float] | None:
+        """K/W and s of the core temperature, the last two unknowns; None without."""
+        if self.unknowns.structure.core is None:
+            return None
+        return float(self.x[-2]) / self.capacity_Ah, float(np.exp(self.x[-1]))
+
+    def simulate(self, test: Samples) -> Array:
+        """Predicted terminal voltage at every row, V."""
+        return self._run(self.x, test, 0)[0]
+
+    def _run(self, x: Array, test: Samples, stride: int) -> tuple[Array, Array]:
+        """Voltage, and its derivatives by the unknowns at every stride-th row (none for 0)."""
+        unknowns = self.unknowns
+        temperature_degC = test.temperature_degC + self._core_rise_K(x, test)
+        place = Place(
+            *between(-1000 / (temperature_degC + ZERO_CELSIUS_K), unknowns.inverse_K), *between(test.soc, SOC)
+        )
+        rows = slice(0, 0) if stride == 0 else slice(None, None, stride)
+        kept = np.arange(test.soc.size)[rows]
+        out = np.empty(test.soc.size)
+        by_table = np.empty((kept.size, np.prod(unknowns.shape) + 1))
+        per_charge = float(np.exp(x[unknowns.rate])) / (3600 * self.capacity_Ah)
+        rate = per_charge if unknowns.structure.hysteresis else 0.0
+        currents = (test.current_A, test.current_at_end_A)
+        drop(test.step_s, *currents, place, unknowns.tables(x), rate, max(stride, 1), out, by_table)
+        left, part = between(temperature_degC, unknowns.temperature_degC)
+        weights = np.zeros((test.soc.size, unknowns.temperature_degC.size))
+        np.put_along_axis(weights, left[:, None], (1 - part)[:, None], axis=1)
+        np.put_along_axis(weights, left[:, None] + 1, part[:, None], axis=1)
+        spline = SPLINES(np.clip(test.soc, 0, 1))
+        voltage_V = np.sum(spline * (weights @ unknowns.correction_V(x)), axis=1) - out
+        by_scale = np.zeros((kept.size, unknowns.temperature_degC.size))
+        scale = np.exp(x[unknowns.scale])
+        for column, share in ((left, 1 - part), (left + 1, part)):
+            drawn = (1 - test.soc) * scale[column]
+            value_V, slope = self.ocv(column, 1 - drawn)
+            voltage_V += share * value_V
+            by_scale[np.arange(kept.size), column[rows]] -= (share * slope * drawn)[rows]
+        if stride == 0:
+            return voltage_V, by_scale
+        by_ocv = (weights[rows][:, :, None] * spline[rows][:, None, :]).reshape(kept.size, -1)
+        columns = [-by_table[:, :-1] @ unknowns.to_tables, -by_table[:, -1:], by_ocv, by_scale]
+        for k in range(unknowns.size, x.size):
+            shifted = x.copy()
+            shifted[k] += 0.02
+            columns.append((self._run(shifted, test, 0)[0] - voltage_V)[rows, None] / 0.02)
+        return voltage_V, np.hstack(columns)
+
+    def _core_rise_K(self, x: Array, test: Samples) -> Array:
+        """Core above surface; its heat from the measured voltage."""
+        if self.unknowns.structure.core is None:
+            return np.zeros(test.soc.size)
+        row = np.argmin(np.abs(self.unknowns.temperature_degC - 25))
+        ocv_V, _ = self.ocv(np.full(test.soc.size, row), test.soc)
+        heat_W = test.current_A * (ocv_V - test.voltage_V)
+        return np.asarray(x[-2] / self.capacity_Ah * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
+
+
+def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lambda _: None) -> Model:
+    """The best model of the tests, given their OCV."""
+    temperature_degC = temperature_rows(tests)
+    hysteresis = _has_hysteresis(slow)
+
+    def build(structure: Structure) -> Model:
+        half = None
+        if structure.hysteresis and slow.half_width_V is not None:
+            half = np.interp(SOC, ocv.SOC, slow.half_width_V)
+        unknowns = Unknowns(
+            structure,
+            temperature_degC,
+            slow.capacity_Ah,
+            ocv_slope_V(slow),
+            half,
+            both_branches=slow.half_width_V is not None,
+        )
+        start = unknowns.start
+        if structure.core is not None:
+            start = np.concatenate([start, _core_unknowns(structure.core.start)])
+        return Model(unknowns, OcvRows([slow.at(T) for T in temperature_degC]), slow.capacity_Ah, start)
+
+    train, judge = _alternate(tests, 0), _alternate(tests, 1)
+    held_out_mV: dict[str, float] = {}
+    best: Model | None = None
+    for pairs in (2, 3):
+        best = _better(best, build(Structure(pairs, hysteresis)), train, judge, held_out_mV, progress)
+    assert best is not None
+    coreless = best
+    for core in CORES:
+        loaded = build(Structure(coreless.unknowns.structure.pairs, hysteresis, core))
+        best = _better(best, _with_core(coreless, loaded), train, judge, held_out_mV, progress)
+    chosen = best.unknowns.structure
+    progress(f"fitting {chosen} to all")
+    if chosen.core is None:
+        model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4)
+    else:  # the load's heat is told from what is left without it, not from where half of the rows led
+        without = fit(build(Structure(chosen.pairs, hysteresis)), tests, evaluations=15, kept=KEPT)
+        model = fit(_with_core(without, best), tests, evaluations=20, kept=KEPT, ftol=2e-4)
+    model.held_out_mV = held_out_mV
+    return model
+
+
+def temperature_rows(tests: Sequence[Samples]) -> Array:
+    """Rows of the tables, degC: the temperatures of the tests, and one as warm as any of them became."""
+    rows = sorted({float(test.test.temperature_degC) for test in tests})
+    warmest = max(float(np.quantile(test.temperature_degC, 0.999)) for test in tests)
+    if warmest > rows[-1] + 4 or len(rows) == 1:
+        rows.append(max(5 * np.ceil(warmest / 5), rows[-1] + 5))
+    return np.array(rows)
+
+
+def ocv_slope_V(slow: ocv.Slow) -> Array:
+    """dOCV/dSoC at the SoC knots of the tables, about 25 degC, over a tenth of SoC; from 0.05 V."""
+    voltage_V = slow.at(25.0)
+    left, right = np.clip(SOC - 0.05, 0, 1), np.clip(SOC + 0.05, 0, 1)
+    rise_V = np.interp(right, ocv.SOC, voltage_V) - np.interp(left, ocv.SOC, voltage_V)
+    return np.clip(rise_V / (right - left), 0.05, 3.0)
+
+
+def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, ftol: float = 1e-3) -> Model:
+    """`model` fitted to the counted rows of the tests, from where it stands."""
+    strides = [max(1, test.soc.size // kept) for test in tests]
+    weights = [_weights(model, test, stride) for test, stride in zip(tests, strides, strict=True)]
+    unknowns = model.unknowns
+    extra = model.x.size - unknowns.size
+    prior = np.hstack([unknowns.prior, np.zeros((len(unknowns.prior), extra))])
+    target = unknowns.prior_target
+    if unknowns.structure.core is not None:
+        prior = np.vstack([prior, np.diag(CORE_WEIGHT) @ np.eye(model.x.size)[-extra:]])
+        target = np.concatenate([target, [0.0, CORE_WEIGHT[1] * np.log(unknowns.structure.core.start[1])]])
+
+    def residuals(x: Array) -> Array:
+        errors = [
+            ((model._run(x, test, 0)[0] - test.voltage_V)[::stride] / SCALE_V) * weight
+            for test, stride, weight in zip(tests, strides, weights, strict=True)
+        ]
+        return np.concatenate([*errors, prior @ x - target])
+
+    def jacobian(x: Array) -> Array:
+        blocks = [
+            model._run(x, test, stride)[1] * (weight / SCALE_V)[:, None]
+            for test, stride, weight in zip(tests, strides, weights, strict=True)
+        ]
+        return np.vstack([*blocks, prior])
+
+    lower, upper = bounds(model)
+    start = np.clip(model.x, lower + 1e-6, upper - 1e-6)
+    found = least_squares(
+        residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
+    )
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    data = found.fun[: -len(prior)]
+    # Errors of a model are correlated: as many independent ones as blocks would be too few, as rows too many.
+    variance = max(1.0, float(np.sum(data**2)) / max(sum(float(np.sum(w > 0)) for w in weights) / 30, 1.0))
+    sigma = np.sqrt(np.diag(covariance) * variance)
+    return Model(unknowns, model.ocv, model.capacity_Ah, found.x, sigma, dict(model.held_out_mV))
+
+
+def bounds(model: Model) -> tuple[Array, Array]:
+    """Wide limits in which the numbers stay physical, and the time constants in order."""
+    lower, upper = np.full(model.x.size, -np.inf), np.full(model.x.size, np.inf)
+    unknowns = model.unknowns
+    for columns, low, high in unknowns.limits():
+        lower[columns], upper[columns] = low, high
+    if unknowns.structure.core is not None:
+        lower[-2:], upper[-2:] = map(_core_unknowns, (unknowns.structure.core.lower, unknowns.structure.core.upper))
+    return lower, upper
+
+
+def _with_core(without: Model, structure: Model) -> Model:
+    """A fit without core as the start of one with it: the core where its structure starts."""
+    core = structure.unknowns.structure.core
+    assert core is not None
+    start = np.concatenate([without.x, _core_unknowns(core.start)])
+    return Model(structure.unknowns, structure.ocv, structure.capacity_Ah, start)
+
+
+def _core_unknowns(core: tuple[float, float]) -> Array:
+    """K Ah/W as it is, the time constant as a logarithm."""
+    return np.array([core[0], np.log(core[1])])
+
+
+def error_mV(model: Model, tests: Sequence[Samples], low: float = 0.1, high: float = 0.9) -> list[float]:
+    """Root mean square error on the counted rows between two SoC, for each test; NaN if there are none."""
+    found = []
+    for test in tests:
+        error = (model.simulate(test) - test.voltage_V)[test.counted & (test.soc > low) & (test.soc < high)]
+        found.append(1e3 * float(np.sqrt(np.mean(error**2))) if error.size else float("nan"))
+    return found
+
+
+def _better(
+    best: Model | None,
+    model: Model,
+    train: Sequence[Samples],
+    judge: Sequence[Samples],
+    held_out_mV: dict[str, float],
+    progress: Progress,
+) -> Model:
+    """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
+    name = str(model.unknowns.structure)
+    progress(f"trying {name}")
+    model = fit(model, train, evaluations=15, kept=KEPT // 2)
+    drives = [test for test in judge if test.test.role == "drive"] or judge
+    # The geometric mean: a hard test must not outvote the others.
+    held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))
+    if best is None or held_out_mV[name] < WORTH_IT * held_out_mV[str(best.unknowns.structure)]:
+        return model
+    return best
+
+
+def _alternate(tests: Sequence[Samples], phase: int) -> list[Samples]:
+    """The tests with every other block of their counted rows counting."""
+    chosen = []
+    for test in tests:
+        time_s = test.time_s
+        block = (time_s / (BLOCK_SHARE * float(time_s[-1]))).astype(int)
+        chosen.append(at(test, test.counted & (block % 2 == phase)))
+    return chosen
+
+
+def _weights(model: Model, test: Samples, stride: int) -> Array:
+    """What every stride-th row's error in mV weighs; a test's squares sum to its `ROWS` on a flat OCV."""
+    _, slope = model.ocv(np.zeros(test.soc.size, dtype=np.int64), test.soc)
+    weight = test.counted / np.hypot(1.0, SOC_ERROR * slope / 0.01)
+    kept = weight[::stride]
+    first, last = test.test.part
+    count = max(int(np.count_nonzero(test.counted[::stride])), 1)
+    return np.asarray(kept * np.sqrt((last - first) * ROWS[test.test.role] / count))
+
+
+def _has_hysteresis(slow: ocv.Slow) -> bool:
+    """Whether the branches are further apart than the resistance of a cell explains, near 25 degC."""
+    half = slow.half_width_V
+    if half is None:
+        return False
+    current_A = min(curve.current_A for curve in slow.curves)
+    plateau = (ocv.SOC > 0.1) & (ocv.SOC < 0.9)
+    return bool(np.median(half[plateau]) > 2 * current_A * 0.1 / slow.capacity_Ah)

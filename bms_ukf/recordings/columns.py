@@ -1,0 +1,158 @@
+"""Finds the columns of a cycler file and brings them to the units of this project, whoever named them.
+
+A header is a quantity and a unit: `voltage_V`, `Voltage / V`, `voltage_volt`, `Voltage [mV]` and `Voltage(V)` are the
+same quantity. The Battery Data Format's names are covered in both spellings.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bms_ukf.errors import ConfigError
+
+Array = NDArray[np.float64]
+
+# Names of a quantity, best first: what the cell's surface says comes before the chamber.
+_NAMES: dict[str, tuple[str, ...]] = {
+    "time_s": ("time", "test time", "t"),
+    "current_A": ("current", "i"),
+    "voltage_V": ("voltage", "terminal voltage", "v"),
+    "temperature_degC": (
+        "temperature",
+        "surface temperature",
+        "surface temperature t1",
+        "cell temperature",
+        "temperature t1",
+        "ambient temperature",
+        "chamber temperature",
+    ),
+    "ah": ("", "ah", "net capacity", "accumulated capacity", "accumulated charge"),
+    "soc_ref": ("soc ref", "soc"),
+}
+REQUIRED = ("time_s", "current_A", "voltage_V")
+
+# Unit: the kind of quantity it measures, factor and offset to the project's unit.
+_UNITS: dict[str, tuple[str, float, float]] = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), ("time_s", 1.0, 0.0)),
+    **dict.fromkeys(("ms", "millisecond", "milliseconds"), ("time_s", 1e-3, 0.0)),
+    **dict.fromkeys(("min", "minute", "minutes"), ("time_s", 60.0, 0.0)),
+    **dict.fromkeys(("h", "hour", "hours"), ("time_s", 3600.0, 0.0)),
+    **dict.fromkeys(("a", "ampere", "amps"), ("current_A", 1.0, 0.0)),
+    **dict.fromkeys(("ma", "milliampere"), ("current_A", 1e-3, 0.0)),
+    **dict.fromkeys(("v", "volt", "volts"), ("voltage_V", 1.0, 0.0)),
+    **dict.fromkeys(("mv", "millivolt"), ("voltage_V", 1e-3, 0.0)),
+    **dict.fromkeys(("c", "degc", "°c", "celsius", "celcius"), ("temperature_degC", 1.0, 0.0)),
+    **dict.fromkeys(("k", "kelvin"), ("temperature_degC", 1.0, -273.15)),
+    **dict.fromkeys(("degf", "fahrenheit"), ("temperature_degC", 5 / 9, -160 / 9)),
+    **dict.fromkeys(("ah", "ampere hour", "ampere hours"), ("ah", 1.0, 0.0)),
+    **dict.fromkeys(("mah", "milliampere hour"), ("ah", 1e-3, 0.0)),
+    **dict.fromkeys(("pct", "%", "percent"), ("soc_ref", 1e-2, 0.0)),
+}
+_HEADER = re.compile(r"^(?P<name>.*?)\s*(?:/\s*(?P<slash>[^/]+)|[\[(](?P<bracket>[^\])]+)[\])])$")
+
+
+def read_columns(path: Path) -> dict[str, Array]:
+    """The columns a recording is made of, by the names above; missing cells are NaN. CSV, gzipped CSV or Parquet.
+
+    Raises ConfigError naming the file and what it lacks.
+    """
+    try:
+        header, table = _parquet(path) if path.suffix == ".parquet" else _csv(path)
+    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(path, expected=f"a readable CSV, CSV.gz or Parquet file ({error})") from None
+    chosen = choose(header)
+    missing = [name for name in REQUIRED if name not in chosen]
+    if missing:
+        expected = "columns for time, current and voltage, with their units"
+        raise ConfigError(path, key=missing[0], value=",".join(header), expected=expected)
+    return {name: factor * table[column] + offset for name, (column, factor, offset) in chosen.items()}
+
+
+def choose(header: Sequence[str]) -> dict[str, tuple[int, float, float]]:
+    """For each quantity found: the index of its best column, factor and offset to the project's unit."""
+    found: dict[str, tuple[int, int, float, float]] = {}
+    for column, title in enumerate(header):
+        name, (kind, factor, offset) = _parse(title)
+        if kind in _NAMES and name in _NAMES[kind]:
+            rank = _NAMES[kind].index(name)
+            if kind not in found or rank < found[kind][0]:
+                found[kind] = (rank, column, factor, offset)
+    return {kind: place[1:] for kind, place in found.items()}
+
+
+def _parse(title: str) -> tuple[str, tuple[str, float, float]]:
+    """Name and unit of a header; a name alone is taken for SoC as a fraction, if it says so."""
+    text = " ".join(title.strip().lower().replace("_", " ").split())
+    match = _HEADER.match(text)
+    if match:
+        unit = (match["slash"] or match["bracket"]).strip()
+        return match["name"], _UNITS.get(unit, ("", 1.0, 0.0))
+    words = text.split(" ")
+    for count in (2, 1):
+        unit = " ".join(words[-count:])
+        if unit in _UNITS:
+            return " ".join(words[:-count]), _UNITS[unit]
+    return text, ("soc_ref", 1.0, 0.0)
+
+
+def _csv(path: Path) -> tuple[list[str], list[Array]]:
+    opener = gzip.open if path.suffix == ".gz" else open
+    with opener(path, "rt", newline="", encoding="utf-8-sig") as file:
+        reader = csv.reader(file)
+        header = next(reader, [])
+        wanted = sorted({column for column, _, _ in choose(header).values()})
+        body = file.read()
+    if wanted and body.strip():
+        with suppress(ValueError):  # the fast way; an empty or odd cell takes the careful one
+            fast = np.loadtxt(io.StringIO(body), delimiter=",", usecols=wanted, ndmin=2, comments=None)
+            return header, [
+                fast[:, wanted.index(column)] if column in wanted else np.empty(0) for column in range(len(header))
+            ]
+    rows = [row for row in csv.reader(io.StringIO(body)) if row]
+    ragged = next((number for number, row in enumerate(rows, start=1) if len(row) != len(header)), None)
+    if ragged is not None:
+        cells = f"{len(header)} cells as in the header"
+        raise ConfigError(path, key=f"row {ragged}", value=f"{len(rows[ragged - 1])} cells", expected=cells)
+    columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
+    return header, [
+        _numbers(path, title, cells) if column in wanted else np.empty(0)
+        for column, (title, cells) in enumerate(zip(header, columns, strict=True))
+    ]
+
+
+def _numbers(path: Path, title: str, cells: Sequence[str]) -> Array:
+    """An empty cell is NaN; text is refused with its row."""
+    try:
+        return np.array([cell or "nan" for cell in cells]).astype(np.float64)
+    except ValueError:
+        for row, cell in enumerate(cells, start=1):
+            try:
+                float(cell or "nan")
+            except ValueError:
+                raise ConfigError(path, key=f"{title}, row {row}", value=cell, expected="a number") from None
+        raise
+
+
+def _parquet(path: Path) -> tuple[list[str], list[Array]]:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise ConfigError(path, expected="pyarrow installed to read Parquet: pip install 'bms-ukf[parquet]'") from None
+    try:
+        header = list(parquet.read_schema(path).names)
+        wanted = [header[column] for column, _, _ in choose(header).values()]
+        table = parquet.read_table(path, columns=wanted)
+        columns = {name: np.asarray(table[name].cast(pa.float64()).to_numpy(), dtype=np.float64) for name in wanted}
+    except pa.ArrowException as error:
+        raise ConfigError(path, expected=f"a Parquet file of numbers ({error})") from None
+    return header, [columns.get(name, np.empty(0)) for name in header]

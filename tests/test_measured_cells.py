@@ -1,0 +1,41 @@
+"""Shipped cells against the measurements they were made from: what their files say of themselves is so."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bms_ukf import identify
+from bms_ukf.cell import CellParams
+from bms_ukf.identify import openloop
+from bms_ukf.manifest import DATA_FOLDER, Manifest
+
+CELLS = Path(__file__).resolve().parents[1] / "models" / "cells"
+
+# Open-loop voltage error on tests never fitted, 10 to 90 % SoC: mean over the tests of a temperature, mV.
+GATES_MV = {
+    "panasonic_ncr18650pf": {25: 15, 10: 22, 0: 50, -10: 70},
+    "a123_lfp": {45: 12, 25: 8, 5: 12, -15: 25},
+    "lgm50": {45: 10, 25: 12, 10: 16, 0: 30},
+}
+
+
+@pytest.mark.skipif(
+    DATA_FOLDER not in os.environ, reason=f"{DATA_FOLDER} is not set: no measured tests to compare with"
+)
+@pytest.mark.parametrize("name", sorted(GATES_MV))
+def test_a_shipped_cell_predicts_the_voltage_of_tests_never_fitted(name: str) -> None:
+    path = CELLS / "manifests" / f"{name}.toml"
+    cell = CellParams.load(CELLS / f"{name}.toml")
+    _, chosen, _, _ = identify.load(path, Manifest.load(path))
+    found_mV: dict[float, list[float]] = {}
+    stated_mV = list(cell.provenance["validate_rmse_mV"].values())
+    for test, stated in zip(chosen["validate"], stated_mV, strict=True):
+        rmse_mV = 1e3 * openloop.predict(cell, test).rmse_V()
+        assert rmse_mV == pytest.approx(stated, abs=0.1)
+        found_mV.setdefault(test.test.temperature_degC, []).append(rmse_mV)
+    for temperature, gate_mV in GATES_MV[name].items():
+        assert np.mean(found_mV[temperature]) <= gate_mV
