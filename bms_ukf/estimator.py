@@ -25,7 +25,7 @@ _STATUS = tuple(Status)
 _HIDDEN = tuple(status in {Status.INITIALISING, Status.INVALID} for status in Status)  # no SoC that could be shown
 _FAULTS = tuple(Fault(bits) for bits in range(2 * max(Fault)))  # making one costs more than the filter step
 _NUMERIC = int(Fault.NUMERIC)
-_BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; then the state
+_BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; numbers follow
 _MAGIC = b"BMSUKF02"
 
 # The results of a cell that an Estimate shows: its fields, and their rows of the kernel's `io`.
@@ -119,7 +119,9 @@ class Estimator:
         code = self._tick(*self._addresses, dt, sample.current_A)
         if not code & _NUMERIC:
             self.accepted += 1
-        self.t_ns, self._code = sample.t_ns, code
+        if not code & _NUMERIC or self.cells > 1:  # a refused step has not passed: the next one covers its time
+            self.t_ns = sample.t_ns
+        self._code = code
         self._read(estimate, code)
         return estimate
 
@@ -169,20 +171,22 @@ class Estimator:
     def snapshot(self) -> bytes:
         """All the estimator knows, for `restore`; valid for the same cell file, tuning and number of cells."""
         body = _BODY.pack(self.cells, self.t_ns is not None, self.t_ns or 0, self._code, self.accepted)
-        body += self._state.tobytes()
+        body += self._state.tobytes() + self._io.tobytes()
         return _MAGIC + self._params_hash() + hashlib.sha256(body).digest() + body
 
     def restore(self, snapshot: bytes) -> None:
         """Go back to a `snapshot`. Raises ValueError, changing nothing, if cell file, tuning or size differ."""
         magic, params_hash, body_hash, body = snapshot[:8], snapshot[8:40], snapshot[40:72], snapshot[72:]
-        if magic != _MAGIC or len(body) != _BODY.size + self._state.nbytes:
+        if magic != _MAGIC or len(body) != _BODY.size + self._state.nbytes + self._io.nbytes:
             raise ValueError(f"not a snapshot of {self.cells} cells by this version")
         if params_hash != self._params_hash():
             raise ValueError("a snapshot of another cell file or tuning")
         if body_hash != hashlib.sha256(body).digest():
             raise ValueError("a damaged snapshot")
         _, started, t_ns, code, accepted = _BODY.unpack_from(body)
-        self._state[:] = np.frombuffer(body, self._state.dtype, offset=_BODY.size).reshape(self._state.shape)
+        numbers = np.frombuffer(body, self._state.dtype, offset=_BODY.size)
+        self._state[:] = numbers[: self._state.size].reshape(self._state.shape)
+        self._io[:] = numbers[self._state.size :].reshape(self._io.shape)
         self.t_ns, self._code, self.accepted = (t_ns if started else None), code, accepted
 
     def _params_hash(self) -> bytes:

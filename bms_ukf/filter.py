@@ -89,12 +89,12 @@ class Filter:
 
     @property
     def voltage_pred_V(self) -> float:
-        """As `innovate` left it, like those below; NaN before."""
+        """As `innovate` left it."""
         return self._value(layout.Y_PREDICTED)
 
     @property
     def innovation_V(self) -> float:
-        """Measured minus predicted."""
+        """Measured minus predicted, as `innovate` left it; NaN once it is fused, or of another belief."""
         return self._value(layout.Y_INNOVATION)
 
     @property

@@ -288,3 +288,28 @@ def test_a_step_into_out_leaves_no_object_behind_and_allocates_nothing_in_the_ke
     growth = run(100_000) - baseline
     assert growth <= 10  # a block a step would be 100 000; other threads may own a few
     assert rtsys.get_allocation_stats() == kernel_before
+
+
+def test_a_cell_of_a_pack_is_forgotten_only_by_a_voltage_that_is_refused():
+    """Not because another cell of its block needs care while its own voltage fails to come."""
+    pack, alone = Estimator(CELL, 2), Estimator(CELL)
+    ocv, wrong = float(CELL.ocv_V(0.6, 25.0)), float(CELL.ocv_V(0.9, 25.0))
+    for k in range(120):
+        voltage = ocv if k < 80 else wrong if k < 109 else NAN
+        of_pack = pack.step(Sample(k * SECOND, 0.0, np.array([voltage, NAN if k < 111 else ocv]), 25.0))
+        estimate = alone.step(Sample(k * SECOND, 0.0, voltage, 25.0))
+    assert alone.tuning.reject_s == 30
+    assert of_pack.soc[0] == pytest.approx(estimate.soc, abs=1e-12)
+    assert of_pack.soc_sigma[0] == pytest.approx(estimate.soc_sigma, abs=1e-12)
+
+
+@pytest.mark.parametrize("cells", [1, 3])
+def test_after_a_restore_a_sample_from_the_past_shows_what_was_restored(cells):
+    first, second = Estimator(CELL, cells), Estimator(CELL, cells)
+    for sample in drive(20, cells):
+        shown = first.step(sample)
+    second.restore(first.snapshot())
+    again = second.step(Sample(-SECOND, 1.0, 3.6, 25.0))
+    assert again.faults & Fault.TIME_REVERSED
+    np.testing.assert_array_equal(again.soc, shown.soc)
+    np.testing.assert_array_equal(again.soc_sigma, shown.soc_sigma)

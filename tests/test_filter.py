@@ -9,6 +9,7 @@ import pytest
 from drives import CELL, drive, variant
 
 from bms_ukf import ConfigError, Estimator, Fault, Filter, Sample, Tuning
+from bms_ukf.kernel import layout
 
 X = [0.8, 0.01, 0.005]
 SIGMA = [0.015, 0.005, 0.005]
@@ -134,3 +135,40 @@ def test_weights_that_are_sound_are_taken(precision, weights):
     for k, (_, current, voltage, temperature) in enumerate(drive(400, varying_dt=False, seed=2)):
         estimate = estimator.step(Sample(k * 10**9, current, voltage, temperature))
     assert estimate.soc == pytest.approx(0.9 - 1.1 * 400 / 18000, abs=0.05)
+
+
+def test_a_voltage_before_any_prediction_is_refused():
+    filter_ = Filter(CELL, X, SIGMA)
+    before = belief(filter_)
+    assert filter_.innovate(3.8) == Fault.NUMERIC
+    assert filter_.update() == Fault.NUMERIC
+    assert belief(filter_) == before
+
+
+def test_an_unseen_current_leaves_the_hysteresis_anywhere_between_its_branches():
+    cell = variant(2, hysteresis=True)
+    estimator = Estimator(cell, tuning=Tuning(initial_soc=0.6, initial_soc_sigma=0.01))
+    m = estimator._form
+    diagonal = m.root + (m.n_rc + 1) * (m.n_rc + 4) // 2
+    for k in range(1200):
+        estimator.step(Sample(k * 10**9, 2.0, float("nan") if k else 3.5, 25.0))
+    record = estimator._state[0, :, 0]
+    discharged = record[m.x + m.n_rc + 1]
+    assert discharged > 0.01
+    for k in range(1200, 4800, 60):
+        estimator.step(Sample(k * 10**9, float("nan"), float("nan"), 25.0))
+    largest = float(cell.dynamics_at(0.5, 25.0)["hysteresis_V"])
+    sigma = np.linalg.norm(record[diagonal - m.n_rc - 1 : diagonal + 1])
+    assert abs(record[m.x + m.n_rc + 1]) < 0.1 * discharged
+    assert sigma > largest / 2
+
+
+def test_a_current_that_timed_out_heats_no_core():
+    estimator = Estimator(variant(2, hysteresis=False, core=True), tuning=Tuning(initial_soc=0.8))
+    for k in range(600):
+        estimator.step(Sample(k * 10**9, 5.0, 3.6 if k == 0 else float("nan"), 25.0))
+    warm = estimator._state[0, layout.H_CORE_RISE, 0]
+    assert warm > 0.5
+    for k in range(600, 1800, 10):
+        estimator.step(Sample(k * 10**9, float("nan"), float("nan"), 25.0))
+    assert estimator._state[0, layout.H_CORE_RISE, 0] < 0.01 * warm

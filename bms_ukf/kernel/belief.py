@@ -33,7 +33,7 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
             before = math.sqrt(p[k.P_INITIAL_CURRENT] * p[k.P_INITIAL_CURRENT] + half * half)
             believe(p, w, y, m, c, soc, p[k.P_INITIAL_SIGMA], before)
             w[W * k.H_GAP_S + c] = real(w, 0)
-            w[W * k.H_CORE_RISE + c] = real(w, 0)
+            w[W * k.H_CORE_RISE + c] = w[W * k.H_SOC_WALK + c] = real(w, 0)
             w[W * k.H_VOLTAGE_AGE + c] = real(w, VOLTAGE_ERROR_S)  # no voltage was fused lately
             y[W * k.Y_ALIVE + c] = real(w, 1)
 
@@ -72,12 +72,12 @@ def resistance(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, j: int) -> Any:
 
 @inline
 def forget(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """Where voltages have been refused for P_REJECT_S it is the SoC believed that is wrong: any SoC is possible again.
+    """Where voltages have been refused for P_REJECT_S, this one too, it is the SoC believed that is wrong: forget it.
 
     The RC voltages are not: they follow from the current, and under load a SoC found without them would be far off.
     """
     W = m.lanes
     for c in range(lanes):
-        if y[W * k.Y_ALIVE + c] > real(w, 0) and w[W * k.H_REJECTED_S + c] >= p[k.P_REJECT_S]:
+        if y[W * k.Y_FUSE + c] == real(w, k.FORGET):
             believe(p, w, y, m, c, real(w, 0.5), p[k.P_SOC_SIGMA_MAX], p[k.P_INITIAL_CURRENT])
             w[W * k.H_REJECTED_S + c] = real(w, math.nan)

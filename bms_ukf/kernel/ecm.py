@@ -56,6 +56,7 @@ def between_rows(p: Any, table: int, T: Any) -> tuple[Any, Any]:
     """The place in `p` of the table row at or below T, and T's fraction of the way to the next; held at the edges."""
     rows = p[table + T_ROWS]
     u = clamp((T - p[table + T_TEMP0]) * p[table + T_INV_DTEMP], real(p, 0), rows - real(p, 1))
+    u = u if is_number(u) else real(p, 0)  # an index is made of it
     row = clamp(floor(u), real(p, 0), rows - real(p, 2))
     return p[table + T_OFFSET] + row * p[table + T_ROW_SIZE], u - row
 
@@ -68,7 +69,7 @@ def ocv_interval(p: Any, row_at: Any, soc: Any) -> tuple[Any, Any]:
     """
     intervals = p[P_OCV + T_INTERVALS]
     u = soc * intervals
-    k = floor(clamp(u, real(p, -1), intervals))
+    k = floor(clamp(u if is_number(u) else real(p, 0), real(p, -1), intervals))
     return row_at + (k + real(p, 1)) * real(p, OCV_COEFFICIENTS), u - k
 
 
@@ -94,6 +95,7 @@ def dynamics_knot(p: Any, soc: Any) -> tuple[Any, Any]:
     """The knot at or below `soc`, the last but one at most, and soc's fraction of the way to the next; held beyond."""
     intervals = p[P_DYN + T_INTERVALS]
     u = clamp(soc * intervals, real(p, 0), intervals)
+    u = u if is_number(u) else real(p, 0)
     k = clamp(floor(u), real(p, 0), intervals - real(p, 1))
     return k, u - k
 

@@ -135,7 +135,8 @@ H_HEARD_AGE = 5  # s since a plausible voltage came, fused or refused
 H_REJECTED_S = 6  # s since the first of an unbroken row of refused voltages; NaN: the last one was fused
 H_GAP_S = 7  # s of charge not counted, in the present gap of the current
 H_CORE_RISE = 8  # core above surface temperature, K
-HELD = 9
+H_SOC_WALK = 9  # growth of SoC's variance that a float32 root cannot show yet
+HELD = 10
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached
@@ -161,7 +162,7 @@ Y_INNOVATION = 18
 Y_VARIANCE = 19
 Y_ALPHA = 20  # the part of the variance that is not sqrt_P's: noise and curvature, V^2
 Y_NOISE = 21  # and of that, noise
-Y_FUSE = 22  # 1: the voltage is to be fused
+Y_FUSE = 22  # what to do with the voltage: one of those below
 Y_STALE = 23  # 1: the cached table row does not serve
 Y_NIS = 24
 Y_BIAS = 25  # A
@@ -169,7 +170,13 @@ Y_B = 26  # N_MAX slots: sqrt_P^-1 Pxz, V
 Y_DYN = Y_B + N_MAX  # CHANNELS_MAX slots
 Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, then of the core: 1 - exp(-time / tau)
 Y_FADE = Y_FALL + N_RC_MAX + 2  # the same over the gap
-VALUES = Y_FADE + N_RC_MAX
+VALUES = Y_FADE + N_RC_MAX + 1
+
+# What `voltage.compare` decides.
+FORGET = -1  # refused for so long that it is the SoC believed that is wrong
+IGNORE = 0
+BY_SIGMA_POINTS = 1
+BY_QUADRATURE = 2
 
 # Rows of `io`.
 IN_VOLTAGE = 0  # V; NaN: not measured

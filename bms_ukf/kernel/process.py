@@ -15,6 +15,7 @@ from bms_ukf.kernel.srukf import predict
 
 # Below this a noise factor is not distinguishable from zero, and zero ends in 0/0 (`srukf.triangularise`). V, SoC or A.
 TINY_ROOT = 1e-12
+RESOLVED = 1e-4  # of a variance: a float32 root moves by 1 part in 20 000, of which rounding is a part in 1000
 
 
 @inline
@@ -86,8 +87,10 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
         gap = y[W * k.Y_GAP + c]
         for j in range(m.n_rc):
             y[W * (k.Y_FADE + j) + c] = gap / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
+        if m.hysteresis:
+            y[W * (k.Y_FADE + m.n_rc) + c] = p[k.P_HYSTERESIS_RATE] * p[k.P_CURRENT_RANGE] * gap
     if gaps:
-        one_minus_exp(w, y, m, k.Y_FADE, m.n_rc, lanes)
+        one_minus_exp(w, y, m, k.Y_FADE, m.n_v, lanes)
 
 
 @inline
@@ -141,22 +144,17 @@ def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         lost[k.SOC] = real(p, 0)
         g[k.SOC] = soc_per_ampere(p, w, y, m, c)
         gain[k.SOC] = -charge(p, w, y, m, c)
-        q[k.SOC] = math.sqrt(soc_walk(p, w, y, m, c, dt)) + real(p, TINY_ROOT)
+        q[k.SOC] = math.sqrt(resolvable(w, m, c, soc_walk(p, w, y, m, c, dt))) + real(p, TINY_ROOT)
         for j in range(m.n_rc):
             relax_rc(p, w, y, m, c, j, lost, g, gain, q)
         if m.hysteresis:
-            h = k.V_RC1 + m.n_rc
-            largest = y[W * (k.Y_DYN + k.D_RC1 + 2 * m.n_rc) + c]
-            lost[h] = y[W * (k.Y_FALL + m.n_rc) + c]
-            g[h] = real(p, 0)
-            gain[h] = lost[h] * (-largest if w[W * k.H_CURRENT + c] < real(p, 0) else largest)
-            q[h] = noise_root(p, lost[h], p[k.P_VAR_V + m.n_rc])
+            relax_hysteresis(p, w, y, m, c, lost, g, gain, q)
         if m.bias:
             lost[m.n - 1] = bias_lost
             g[m.n - 1] = gain[m.n - 1] = real(p, 0)
             q[m.n - 1] = noise_root(p, bias_lost, p[k.P_BIAS_SIGMA] * p[k.P_BIAS_SIGMA])
         if m.core:
-            warm_core(p, w, y, m, c)
+            warm_core(p, w, y, m, c, dt)
         predict(w, c, m, lost, g, gain, q)
         sigma = w[W * m.root + c]
         w[W * m.root + c] = p[k.P_SOC_SIGMA_MAX] if sigma > p[k.P_SOC_SIGMA_MAX] else sigma
@@ -175,6 +173,39 @@ def soc_walk(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> Any:
     doubted = p[k.P_CURRENT_RANGE] / p[k.P_CHARGE_COULOMB]
     unknown = doubted * doubted * gap * (after + before)
     return dt * (p[k.P_SOC_WALK_OFFSET] + p[k.P_SOC_WALK_GAIN] * i * i) + unknown
+
+
+@inline
+def resolvable(w: Any, m: Any, c: int, variance: Any) -> Any:
+    """What of a growing variance of SoC its root can show; in float32 the rest waits until it has become enough.
+
+    sqrt(sigma^2 + q^2) is sigma itself where q^2 is below 6e-8 of sigma^2, as it is at every step of 100 Hz.
+    """
+    if m.compensated:
+        W = m.lanes
+        sigma = w[W * m.root + c]
+        grown = w[W * k.H_SOC_WALK + c] + variance
+        enough = grown > real(w, RESOLVED) * sigma * sigma
+        w[W * k.H_SOC_WALK + c] = real(w, 0) if enough else grown
+        variance = grown if enough else real(w, 0)
+    return variance
+
+
+@inline
+def relax_hysteresis(p: Any, w: Any, y: Any, m: Any, c: int, lost: Any, g: Any, gain: Any, q: Any) -> None:
+    """What the step does to the hysteresis voltage; an unknown current may have moved it anywhere."""
+    W = m.lanes
+    h = k.V_RC1 + m.n_rc
+    largest = y[W * (k.Y_DYN + k.D_RC1 + 2 * m.n_rc) + c]
+    rise = y[W * (k.Y_FALL + m.n_rc) + c]
+    faded = y[W * (k.Y_FADE + m.n_rc) + c]
+    to_target = rise if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else rise - rise * faded
+    lost[h] = rise + faded - rise * faded
+    g[h] = real(p, 0)
+    gain[h] = to_target * (-largest if w[W * k.H_CURRENT + c] < real(p, 0) else largest)
+    anywhere = largest * largest / real(p, 3)
+    stationary = p[k.P_VAR_V + m.n_rc] + (anywhere if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0))
+    q[h] = noise_root(p, lost[h], stationary)
 
 
 @inline
@@ -208,12 +239,12 @@ def noise_root(p: Any, lost: Any, stationary: Any) -> Any:
 
 
 @inline
-def warm_core(p: Any, w: Any, y: Any, m: Any, c: int) -> None:
-    """The core's temperature goes to that of the surface and what the losses i (ocv - v) put on top."""
+def warm_core(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> None:
+    """The core's temperature goes to the surface's and what the losses i (ocv - v) put on top while i is known."""
     W = m.lanes
     loss = y[W * k.Y_DROP + c]
     for j in range(m.n_v):
         loss += w[W * (m.x + k.V_RC1 + j) + c]
-    target = p[k.P_CORE_K_PER_W] * w[W * k.H_CURRENT + c] * loss
+    target = p[k.P_CORE_K_PER_W] * w[W * k.H_CURRENT + c] * loss * (y[W * k.Y_KNOWN + c] / dt)
     rise = w[W * k.H_CORE_RISE + c]
     w[W * k.H_CORE_RISE + c] = rise + y[W * (k.Y_FALL + m.n_v) + c] * (target - rise)

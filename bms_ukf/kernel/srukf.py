@@ -18,6 +18,7 @@ from typing import Any
 
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import (
+    BY_SIGMA_POINTS,
     DENSE_MAX,
     N_MAX,
     P_E2,
@@ -185,7 +186,7 @@ def innovate(
 
 @inline
 def update(w: Any, y: Any, c: int, m: Any) -> None:
-    """Measurement update with what `innovate` left, where Y_FUSE is 1; where it is 0, x and sqrt_P stay.
+    """Measurement update with what `innovate` left, where Y_FUSE says so; elsewhere x and sqrt_P stay.
 
     Carlson's triangular update (AIAA Journal 11(9), 1973, pp. 1259-1265), from the last column to the first: sums of
     squares only. Variances shrink or stay.
@@ -195,7 +196,7 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
     n = m.n
     for j in range(n):
         gain[j] = real(w, 0)
-    fuse = y[W * Y_FUSE + c] == real(w, 1)
+    fuse = y[W * Y_FUSE + c] == real(w, BY_SIGMA_POINTS)
     alpha = y[W * Y_ALPHA + c]
     for step in range(n):
         j = n - 1 - step

@@ -93,7 +93,7 @@ def update(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
     """Fuse the voltage that `innovate` compared, whatever the gate said of it. Returns fault bits."""
     load(s, 0, w, y, m, 1)
     wide = w[m.root] > p[k.P_WIDE_SIGMA]
-    y[k.Y_FUSE] = real(p, 2) if wide else real(p, 1)
+    y[k.Y_FUSE] = real(p, k.BY_QUADRATURE) if wide else real(p, k.BY_SIGMA_POINTS)
     y[k.Y_CODE] = real(p, 0) if is_number(y[k.Y_INNOVATION]) else real(p, math.nan)
     voltage.fuse(p, w, y, m, 1)
     voltage.fuse_wide(p, w, y, m, 1)
@@ -144,6 +144,7 @@ def refuse(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
                 for slot in range(m.cache):
                     w[W * slot + c] = s[o + W * slot + c]
                 y[W * k.Y_INNOVATION + c] = real(w, math.nan)
+                y[W * k.Y_ALIVE + c] = real(w, 1) if _finite(w, y, m, c) else real(w, 0)
 
 
 @inline

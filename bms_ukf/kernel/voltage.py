@@ -53,7 +53,7 @@ def look_up(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
 def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
     """Innovate every lane, and decide which voltages are fused. Returns whether any lane needs more than `update`."""
     W = m.lanes
-    zero, one = real(p, 0), real(p, 1)
+    zero = real(p, 0)
     special = 0
     for c in range(lanes):
         z = y[W * k.Y_VOLTAGE + c]
@@ -79,9 +79,11 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         code = real(p, INNOVATION_REJECTED) if refused else zero
         y[W * k.Y_CODE + c] += real(p, math.nan) if heard & (not compared) else code  # NaN: to be refused
         wide = fuse & (w[W * m.root + c] > p[k.P_WIDE_SIGMA])
-        special |= 1 if wide | (refused & (since >= p[k.P_REJECT_S])) else 0
-        how = one if fuse else zero
-        y[W * k.Y_FUSE + c] = real(p, 2) if wide else how
+        forget = refused & (since >= p[k.P_REJECT_S])
+        special |= 1 if wide | forget else 0
+        how = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
+        how = real(p, k.BY_QUADRATURE) if wide else how
+        y[W * k.Y_FUSE + c] = real(p, k.FORGET) if forget else how
     return special
 
 
@@ -93,15 +95,15 @@ def fuse(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     for c in range(lanes):
         update(w, y, c, m)
     for c in range(lanes):
-        fused = y[W * k.Y_FUSE + c] > zero
+        fused = y[W * k.Y_FUSE + c] > real(p, k.IGNORE)
         age = w[W * k.H_VOLTAGE_AGE + c]
         w[W * k.H_VOLTAGE_AGE + c] = zero if fused else age
 
 
 @inline
 def fuse_wide(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """Update the lanes whose belief is too wide for sigma points (Y_FUSE is 2)."""
+    """Update the lanes whose belief is too wide for sigma points."""
     W = m.lanes
     for c in range(lanes):
-        if y[W * k.Y_FUSE + c] == real(w, 2):
+        if y[W * k.Y_FUSE + c] == real(w, k.BY_QUADRATURE):
             update_wide(p, w, y, m, c)
