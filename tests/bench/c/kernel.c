@@ -107,7 +107,7 @@ INLINE real charge(const real *p, real i, real known)
 /* `fall`: 1 - exp(-known / tau) of each voltage; `fade`: the same over the gap of the current.
  * `held`: 1 if what is known of the current is the beginning of the step, 0 if its end. */
 INLINE void move(const real *p, const real dyn[CHANNELS], real i, real moved, real dt, real gap, real before,
-                 real held, const real fall[N_V], const real fade[N_RC], struct motion *m)
+                 real held, const real fall[N_V], const real fade[N_V], struct motion *m)
 {
     const real doubted = p[P_CURRENT_RANGE] / p[P_CHARGE_COULOMB], range = gap > 0 ? p[P_CURRENT_RANGE] : 0;
     const real variance = dt * (p[P_SOC_WALK_OFFSET] + p[P_SOC_WALK_GAIN] * i * i)
@@ -126,10 +126,12 @@ INLINE void move(const real *p, const real dyn[CHANNELS], real i, real moved, re
         m->q[1 + j] = sqrt(lost * (2 - lost) * stationary) + R(TINY_ROOT);
     }
     if (HYSTERESIS) {
-        const real largest = dyn[CHANNELS - 1], lost = fall[N_V - 1];
+        const real largest = dyn[CHANNELS - 1], both = fall[N_V - 1] * fade[N_V - 1];
+        const real lost = fall[N_V - 1] + fade[N_V - 1] - both;
+        const real anywhere = gap > 0 ? largest * largest / 3 : 0; /* between the branches */
         m->lost[N - 1] = lost;
-        m->gain[N - 1] = lost * (i < 0 ? -largest : largest);
-        m->q[N - 1] = sqrt(lost * (2 - lost) * p[P_VAR_V + N_RC]) + R(TINY_ROOT);
+        m->gain[N - 1] = (fall[N_V - 1] - held * both) * (i < 0 ? -largest : largest);
+        m->q[N - 1] = sqrt(lost * (2 - lost) * (p[P_VAR_V + N_RC] + anywhere)) + R(TINY_ROOT);
     }
 }
 
@@ -296,7 +298,7 @@ static int take(const real *p, struct cell *c, real dt, real current, real *volt
 static void advance(const real *p, struct cell *c, const real dyn[CHANNELS], real moved, real dt, real gap)
 {
     const real known = dt - gap;
-    real fall[N_V], fade[N_RC] = {0};
+    real fall[N_V], fade[N_V] = {0};
     struct motion m;
     for (int j = 0; j < N_RC; j++) {
         fall[j] = -expm1(-known / dyn[D_RC1 + 2 * j + 1]);
@@ -305,6 +307,8 @@ static void advance(const real *p, struct cell *c, const real dyn[CHANNELS], rea
     }
     if (HYSTERESIS)
         fall[N_V - 1] = -expm1(-p[P_HYSTERESIS_RATE] * fabs(c->current) * known);
+    if (HYSTERESIS && gap > 0)
+        fade[N_V - 1] = -expm1(-p[P_HYSTERESIS_RATE] * p[P_CURRENT_RANGE] * gap);
     const real held = c->current_age > 0 ? 1 : 0;
     move(p, dyn, c->current, moved, dt, gap, c->gap_s, held, fall, fade, &m);
     c->gap_s = held * (c->gap_s + gap);
@@ -474,7 +478,7 @@ struct work {
     whole fault;
     _Alignas(64) whole alive[LANES], code[LANES];
     real voltage[LANES], T[LANES], soc[LANES];
-    real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_RC][LANES];
+    real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
     real drop[LANES], drop_sigma[LANES], g[3][LANES];
     real predicted[LANES], innovation[LANES], variance[LANES];
 };
@@ -565,7 +569,9 @@ static void relax(const real *restrict p, struct work *restrict y)
     if (y->gap > 0) {
         for (int j = 0; j < N_RC; j++)
             EACH_LANE y->fade[j][c] = y->gap / y->dyn[D_RC1 + 2 * j + 1][c];
-        decay(y->fade, N_RC);
+        if (HYSTERESIS)
+            EACH_LANE y->fade[N_V - 1][c] = p[P_HYSTERESIS_RATE] * p[P_CURRENT_RANGE] * y->gap;
+        decay(y->fade, N_V);
     }
 }
 
@@ -575,13 +581,13 @@ static void advance_lanes(const real *restrict p, struct lanes *restrict w, cons
     EACH_LANE {
         struct belief b = load(w, c);
         struct motion m;
-        real dyn[CHANNELS], fall[N_V], fade[N_RC];
+        real dyn[CHANNELS], fall[N_V], fade[N_V];
         UNROLL for (int k = 0; k < CHANNELS; k++)
             dyn[k] = y->dyn[k][c];
-        UNROLL for (int j = 0; j < N_V; j++)
+        UNROLL for (int j = 0; j < N_V; j++) {
             fall[j] = y->fall[j][c];
-        UNROLL for (int j = 0; j < N_RC; j++)
             fade[j] = y->fade[j][c];
+        }
         move(p, dyn, i, moved, dt, gap, w->gap_s[c], held, fall, fade, &m);
         w->gap_s[c] = held * (w->gap_s[c] + gap);
         predict(p, &b, &m);
