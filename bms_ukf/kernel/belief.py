@@ -25,7 +25,7 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
             half = w[W * k.H_CURRENT + c] / real(w, 2)
             soc = p[k.P_INITIAL_SOC]
             for j in range(m.n_rc):
-                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, w, y, m, c, soc, j) * half
+                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, y, m, c, soc, j) * half
             if m.hysteresis:
                 w[W * (m.x + k.V_RC1 + m.n_rc) + c] = real(w, 0)
             if m.bias:
@@ -52,7 +52,7 @@ def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before
     w[W * m.root + c] = sigma
     for j in range(m.n_rc):
         row = k.V_RC1 + j
-        drop = resistance(p, w, y, m, c, soc, j) * before
+        drop = resistance(p, y, m, c, soc, j) * before
         w[W * (m.root + tri(row, row)) + c] = math.sqrt(p[k.P_VAR_V + j] + drop * drop)
     if m.hysteresis:
         row = k.V_RC1 + m.n_rc
@@ -64,7 +64,7 @@ def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before
 
 
 @inline
-def resistance(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, j: int) -> Any:
+def resistance(p: Any, y: Any, m: Any, c: int, soc: Any, j: int) -> Any:
     """r of an RC pair at any SoC, ohm."""
     W = m.lanes
     return dynamics(p, soc, y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from bms_ukf.kernel import ecm, layout
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import entry
-from bms_ukf.kernel.layout import Form
+from bms_ukf.kernel.layout import Form, form_at_compile_time
 from bms_ukf.kernel.memory import pointer, real, vector
 
 
@@ -24,21 +24,22 @@ def tick(form: Form, bits: int) -> Callable[[int, int, int, int, float, float], 
     `io` has `layout.IO_ROWS` rows of `cells` numbers. Returns the faults of all cells together (`records.Fault`) and,
     from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, else the worst.
     """
-    (n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size) = form
-    copied, values = lanes * cache, lanes * layout.VALUES
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    copied, values = lanes * form.cache, lanes * layout.VALUES
 
     def tick(params: int, state: int, io: int, cells: int, dt: float, current: float) -> int:
-        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
         p = pointer(params, bits)
         s = pointer(state, bits)
         rows = pointer(io, bits)
         w = vector(s, copied)
         y = vector(s, values)
+        span, i = real(s, dt), real(s, current)
         codes = 0
         for block in range((cells + lanes - 1) // lanes):
             first = block * lanes
             count = 1 if lanes == 1 else min(lanes, cells - first)
-            codes |= policy.step(p, s, first * size, w, y, rows, first, cells, m, count, real(s, dt), real(s, current))
+            codes |= policy.step(p, s, first * m.size, w, y, rows, first, cells, m, count, span, i)
         return policy.together(codes)
 
     return entry(tick, "int64(int64, int64, int64, int64, float64, float64)")
@@ -51,11 +52,11 @@ def replay(form: Form, bits: int) -> Callable[[int, int, int, int, int, int], in
     `io` has `steps` rows of `layout.IO_ROWS` numbers, `dt` and `current` are arrays of `steps`; the code has the faults
     of all ticks together and, from STATUS_SHIFT up, a status as that of `tick`.
     """
-    (n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size) = form
-    copied, values, row = cache, layout.VALUES, layout.IO_ROWS
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    copied, values, row = form.cache, layout.VALUES, layout.IO_ROWS
 
     def replay(params: int, state: int, io: int, steps: int, dt: int, current: int) -> int:
-        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
         p = pointer(params, bits)
         s = pointer(state, bits)
         rows = pointer(io, bits)
@@ -83,22 +84,23 @@ class ThreeSteps(NamedTuple):
 
 @functools.cache
 def three_steps(form: Form, bits: int) -> ThreeSteps:
-    (n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size) = form
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    copied = form.cache
 
     def predict(params: int, state: int, work: int, dt: float, current: float, temperature: float) -> int:
-        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
         p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
-        return policy.predict(p, s, vector(s, cache), y, m, real(s, dt), real(s, current), real(s, temperature))
+        return policy.predict(p, s, vector(s, copied), y, m, real(s, dt), real(s, current), real(s, temperature))
 
     def innovate(params: int, state: int, work: int, voltage: float) -> int:
-        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
         p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
-        return policy.innovate(p, s, vector(s, cache), y, m, real(s, voltage))
+        return policy.innovate(p, s, vector(s, copied), y, m, real(s, voltage))
 
     def update(params: int, state: int, work: int) -> int:
-        m = Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
         p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
-        return policy.update(p, s, vector(s, cache), y, m)
+        return policy.update(p, s, vector(s, copied), y, m)
 
     return ThreeSteps(
         entry(predict, "int64(int64, int64, int64, float64, float64, float64)"),

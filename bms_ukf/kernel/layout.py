@@ -45,17 +45,25 @@ class Form(NamedTuple):
     cache: int
     size: int
 
+    @property
+    def variant(self) -> tuple[int, int, int, int, int, int]:
+        """What `form` makes it from."""
+        return self[:6]
 
-def form(n_rc: int, hysteresis: bool, bias: bool, core: bool, lanes: int, compensated: bool) -> Form:
+
+def form(n_rc: int, hysteresis: int, bias: int, core: int, lanes: int, compensated: int) -> Form:
     n_v = n_rc + hysteresis
     n = 1 + n_v + bias
-    beliefs = n + n * (n + 1) // 2
+    x = HELD
+    root = x + n
+    carry = root + n * (n + 1) // 2
+    cache = carry + n * compensated
     channels = D_RC1 + 2 * n_rc + hysteresis
-    carry = HELD + beliefs
-    cache = carry + (n if compensated else 0)
     size = cache + C_VALUES + 2 * channels
-    flags = int(hysteresis), int(bias), int(core)
-    return Form(n_rc, *flags, lanes, int(compensated), n, n_v, channels, HELD, HELD + n, carry, cache, size)
+    return Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+
+
+form_at_compile_time = inline(form)  # a compiled function's closure may hold integers only, so it makes its form anew
 
 
 @inline

@@ -31,8 +31,8 @@ CACHE_TEMPERATURE_K = 0.01  # resistances change by some 3 % a kelvin: what is c
 
 def form_of(cell: CellParams, tuning: Tuning, lanes: int = 1, bits: int = 64) -> Form:
     """The filter that the cell and the tuning ask for."""
-    bias, core = tuning.current_bias, cell.thermal is not None
-    return form(cell.dynamics.n_rc, cell.hysteresis is not None, bias, core, lanes, compensated=bits == 32)
+    hysteresis, core = cell.hysteresis is not None, cell.thermal is not None
+    return form(cell.dynamics.n_rc, int(hysteresis), int(tuning.current_bias), int(core), lanes, int(bits == 32))
 
 
 def params(cell: CellParams, tuning: Tuning, bits: int = 64) -> NDArray[Any]:

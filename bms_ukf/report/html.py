@@ -6,15 +6,12 @@ Importing this does not import matplotlib; writing a report does.
 from __future__ import annotations
 
 import platform
-from base64 import b64encode
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jinja2
-
 from bms_ukf import metrics
-from bms_ukf.errors import ConfigError
+from bms_ukf.report.page import write_page
 from bms_ukf.trace import Trace
 
 if TYPE_CHECKING:
@@ -51,42 +48,28 @@ def write_report(target: Path, trace: Trace, summary: dict[str, Any], *, title: 
     Returns the page's path. `summary` holds `metrics.score` of the trace and whatever of `_PROVENANCE` there is to say.
     Raises ConfigError if the place cannot be written.
     """
-    plots = _plots(trace)
-    page = target if target.suffix == ".html" else target / "report.html"
-    try:
-        if page != target:
-            target.mkdir(parents=True, exist_ok=True)
-            for plot, png in plots:
-                (target / f"{plot.name}.png").write_bytes(png)
-        page.write_text(_page(plots, summary, title), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(target, expected=f"a place that can be written ({error.strerror})") from None
-    return page
-
-
-def _plots(trace: Trace) -> list[tuple[Plot, bytes]]:
-    from bms_ukf.report.plots import render  # matplotlib takes half a second that a run without report need not pay
-
-    return list(render(trace))
-
-
-def _page(plots: list[tuple[Plot, bytes]], summary: dict[str, Any], title: str) -> str:
-    loader = jinja2.FileSystemLoader(Path(__file__).parent)
-    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     scored = summary["n_scored"] > 0
     late = summary["after_600s"]
     figures = [
         (name, _text(summary[key], factor, form), _text(late[key], factor, form))
         for name, key, factor, form in _FIGURES
     ]
-    return environment.get_template("page.html.j2").render(
+    return write_page(
+        target,
+        "page.html.j2",
+        _plots(trace),
         title=title,
         checks=metrics.judge(summary) if scored else [],
         figures=figures if scored else [],
-        plots=[(plot, b64encode(png).decode()) for plot, png in plots],
         provenance=[(name, form.format(summary[key])) for name, key, form in _PROVENANCE if key in summary]
         + [("Versions", _versions()), ("Machine", f"{platform.system()} {platform.machine()}")],
     )
+
+
+def _plots(trace: Trace) -> list[tuple[Plot, bytes]]:
+    from bms_ukf.report.plots import render  # matplotlib takes half a second that a run without report need not pay
+
+    return list(render(trace))
 
 
 def _text(figure: float | None, factor: float, form: str) -> str:

@@ -5,14 +5,12 @@ Importing this does not import matplotlib; writing a report does.
 
 from __future__ import annotations
 
-from base64 import b64encode
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
-from bms_ukf.errors import ConfigError
 from bms_ukf.identify import Identified
+from bms_ukf.report.page import write_page
 
 
 def write_report(target: Path, found: Identified) -> Path:
@@ -22,29 +20,17 @@ def write_report(target: Path, found: Identified) -> Path:
     """
     from bms_ukf.report.identify_plots import render
 
-    plots = list(render(found))
-    page = target if target.suffix == ".html" else target / "report.html"
-    try:
-        if page != target:
-            target.mkdir(parents=True, exist_ok=True)
-            for plot, png in plots:
-                (target / f"{plot.name}.png").write_bytes(png)
-        loader = jinja2.FileSystemLoader(Path(__file__).parent)
-        environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
-        held_out_mV = found.model.held_out_mV
-        text = environment.get_template("identify.html.j2").render(
-            title=found.cell.cell.name,
-            errors=error_rows(found),
-            warnings=found.warnings,
-            structure=str(found.model.unknowns.structure),
-            held_out=[(name, f"{error:.1f} mV") for name, error in held_out_mV.items()],
-            plots=[(plot, b64encode(png).decode()) for plot, png in plots],
-            provenance=[(key, value) for key, value in found.cell.provenance.items() if isinstance(value, str)],
-        )
-        page.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(target, expected=f"a place that can be written ({error.strerror})") from None
-    return page
+    return write_page(
+        target,
+        "identify.html.j2",
+        list(render(found)),
+        title=found.cell.cell.name,
+        errors=error_rows(found),
+        warnings=found.warnings,
+        structure=str(found.model.unknowns.structure),
+        held_out=[(name, f"{error:.1f} mV") for name, error in found.model.held_out_mV.items()],
+        provenance=[(key, value) for key, value in found.cell.provenance.items() if isinstance(value, str)],
+    )
 
 
 def error_rows(found: Identified) -> list[tuple[str, str, str, str, str]]:
