@@ -163,6 +163,23 @@ class Noise(toml.Section):
     v_rc3_sigma_V: Sigma | None = None
     rc_rel_sigma: Annotated[float, Field(ge=0, lt=2)]  # relative error of r1..
     hysteresis_sigma_V: Sigma | None = None  # where there is a [hysteresis]
+    # Where the model errs more or less than that: a factor on all of it.
+    soc: Knots | None = None
+    temperature_degC: Annotated[list[Temperature], Field(min_length=1)] | None = None
+    error_scale: Rows | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        given = [part is not None for part in (self.soc, self.temperature_degC, self.error_scale)]
+        _require(all(given) or not any(given), "noise.soc, temperature_degC and error_scale together or not at all")
+        if self.soc is None or self.temperature_degC is None or self.error_scale is None:
+            return self
+        _require_knots(self.soc, "noise.soc")
+        _require_increasing(self.temperature_degC, "noise.temperature_degC")
+        _require_shape(self.error_scale, len(self.temperature_degC), len(self.soc), "noise.error_scale")
+        for value in (value for row in self.error_scale for value in row):
+            _require(0.05 <= value <= 50, f"noise.error_scale between 0.05 and 50, got {value:g}")
+        return self
 
 
 class CellParams(toml.Document):
@@ -202,7 +219,9 @@ class CellParams(toml.Document):
         return pchip.interpolate(self.ocv.soc, self._ocv_row(temperature_degC), soc)
 
     def dynamics_at(self, soc: ArrayLike, temperature_degC: float) -> dict[str, Array]:
-        """`r0_ohm, r0_charge_ohm, r0_knee_A, r1_ohm, tau1_s` and so on at SoC values in 0..1, `hysteresis_V` last.
+        """All that [dynamics], [hysteresis] and [noise] say of SoC values in 0..1 at a temperature, in the kernel's order.
+
+        `r0_ohm, r0_charge_ohm, r0_knee_A, error_scale, r1_ohm, tau1_s` and so on, `hysteresis_V` last if there is any.
 
         Linear in SoC; between temperatures in log over 1/T (Arrhenius), held beyond the first and last.
         """
@@ -217,10 +236,19 @@ class CellParams(toml.Document):
             if table is not None:
                 row = np.exp(_row_at(dynamics.temperature_degC, np.log(table), temperature_degC))
                 values[key] = np.interp(at, dynamics.soc, row)
+            if key == "r0_knee_A":
+                values["error_scale"] = self._error_scale(at, temperature_degC)
         if self.hysteresis is not None:
             row = _row_at(self.hysteresis.temperature_degC, np.array(self.hysteresis.max_V), temperature_degC)
             values["hysteresis_V"] = np.interp(at, self.hysteresis.soc, row)
         return values
+
+    def _error_scale(self, soc: Array, temperature_degC: float) -> Array:
+        noise = self.noise
+        if noise.soc is None or noise.temperature_degC is None or noise.error_scale is None:
+            return np.ones_like(soc)
+        row = _row_at(noise.temperature_degC, np.array(noise.error_scale), temperature_degC)
+        return np.interp(soc, noise.soc, row)
 
     def _ocv_row(self, temperature_degC: float) -> Array:
         rows = np.asarray(self.ocv.voltage_V)

@@ -38,6 +38,7 @@ _SHOWN = {
     "nis": layout.OUT_NIS,
     "age_s": layout.OUT_AGE,
     "current_bias_A": layout.OUT_BIAS,
+    "r0_ohm": layout.OUT_R0,
 }
 _SOC_ROWS = {layout.OUT_SOC, layout.OUT_SOC_SIGMA}
 _COMPARISON = ("voltage_pred_V", "innovation_V", "innovation_var_V2", "nis")
@@ -116,7 +117,14 @@ class Estimator:
         else:
             self._io[layout.IN_VOLTAGE] = sample.voltage_V
             self._io[layout.IN_TEMPERATURE] = sample.temperature_degC
-        code = self._tick(*self._addresses, dt, sample.current_A)
+        current_A = sample.current_A
+        if sample.open_circuit:
+            self._io[layout.IN_OFFSET] = current_A
+            if not self._form.bias:
+                current_A = 0.0
+        code = self._tick(*self._addresses, dt, current_A)
+        if sample.open_circuit:
+            self._io[layout.IN_OFFSET] = math.nan
         if not code & _NUMERIC:
             self.accepted += 1
         if not code & _NUMERIC or self.cells > 1:  # a refused step has not passed: the next one covers its time
@@ -153,6 +161,7 @@ class Estimator:
         dtype = self._io.dtype
         io = np.empty((len(time), layout.IO_ROWS), dtype)
         io[:, layout.IN_VOLTAGE], io[:, layout.IN_TEMPERATURE] = columns[1], columns[2]
+        io[:, layout.IN_OFFSET] = np.nan
         spans, currents = dt.astype(dtype), columns[0].astype(dtype)
         params, state, *_ = self._addresses
         run = entry.replay(self._form, BITS[self.precision])
@@ -213,6 +222,7 @@ class Estimator:
         estimate.nis = row[layout.OUT_NIS]
         estimate.age_s = row[layout.OUT_AGE]
         estimate.current_bias_A = row[layout.OUT_BIAS]
+        estimate.r0_ohm = row[layout.OUT_R0]
 
     def _clear_comparison(self, estimate: Estimate) -> None:
         """Nothing was compared: the values of the last comparison would be counted twice."""

@@ -59,6 +59,7 @@ class Sample:
     current_A: float = NAN  # positive = discharge
     voltage_V: PerCell = NAN  # cell terminal voltage; array of shape (cells,) for a pack
     temperature_degC: PerCell = NAN
+    open_circuit: bool = False  # the contactor is known to be open: `current_A` is the sensor's offset, nothing flows
 
 
 @dataclass(slots=True)
@@ -76,3 +77,4 @@ class Estimate:
     status: Status = Status.INITIALISING
     faults: Fault = Fault.NONE
     current_bias_A: PerCell = NAN  # what the current sensor shows too much, positive = discharge; NaN: not estimated
+    r0_ohm: PerCell = NAN  # ohmic resistance in the direction of the current, as tracked

@@ -21,10 +21,10 @@ class Tuning(Section):
     # What is believed before the first voltage. The default is no opinion: that voltage, at rest or not, decides.
     initial_soc: Annotated[float, Field(ge=0, le=1)] = 0.5
     initial_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.3
-    initial_current_sigma_A: NonNegative | None = None  # unseen load before the first sample; None: C/5
+    initial_current_sigma_A: NonNegative | None = None  # unseen load before the first sample; None: C/20
 
     current_offset_sigma_A: Positive | None = None  # None: C/100
-    current_bias: bool = False  # estimate the offset as a state of the filter
+    current_bias: bool = True  # estimate the offset as a state of the filter
     current_gain_sigma: NonNegative = 0.01
     current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one
     voltage_sensor_sigma_V: NonNegative = 0.002
@@ -36,9 +36,10 @@ class Tuning(Section):
     voltage_margin_V: NonNegative = 0.7  # plausible: the cell's voltage limits and so much beyond
     current_margin: Annotated[float, Field(ge=1)] = 10.0  # plausible: so many times the cell's current limits
 
+    adaptive: bool = True  # let the innovations tell r0, and how large the fast voltage error is
     gate_sigmas: Positive = 5.0
     reject_s: Positive = 30.0  # after so long the belief is doubted, not the voltage
-    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # above it sigma points are too few for the OCV curve
+    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # a wider start is met by quadrature, not sigma points
     soc_sigma_invalid: Annotated[float, Field(gt=0, le=0.5)] = 0.35
 
     # Sigma points; `kernel.params` refuses a set that is unsound. alpha = 1 makes every weight non-negative.

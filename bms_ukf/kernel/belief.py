@@ -1,10 +1,11 @@
-"""Beliefs that do not come from a filter step: the first one, and the one after a SoC that was believed in vain."""
+"""Beliefs that do not come from a filter step: the first one, and the one after voltages that were refused in vain."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+from bms_ukf.kernel import adapt
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import dynamics
 from bms_ukf.kernel.jit import inline
@@ -23,17 +24,17 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         if y[W * k.Y_ALIVE + c] == real(w, 0) and math.isfinite(known):
             # The load may have begun just now or long ago: the RC voltages are between nothing and r i.
             half = w[W * k.H_CURRENT + c] / real(w, 2)
-            soc = p[k.P_INITIAL_SOC]
             for j in range(m.n_rc):
-                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, y, m, c, soc, j) * half
+                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, y, m, c, j) * half
             if m.hysteresis:
                 w[W * (m.x + k.V_RC1 + m.n_rc) + c] = real(w, 0)
             if m.bias:
                 w[W * (m.x + m.n - 1) + c] = real(w, 0)
             before = math.sqrt(p[k.P_INITIAL_CURRENT] * p[k.P_INITIAL_CURRENT] + half * half)
-            believe(p, w, y, m, c, soc, p[k.P_INITIAL_SIGMA], before)
+            believe(p, w, y, m, c, p[k.P_INITIAL_SOC], p[k.P_INITIAL_SIGMA], before)
             w[W * k.H_GAP_S + c] = real(w, 0)
             w[W * k.H_CORE_RISE + c] = w[W * k.H_SOC_WALK + c] = real(w, 0)
+            adapt.start(w, m, c)
             w[W * k.H_VOLTAGE_AGE + c] = real(w, VOLTAGE_ERROR_S)  # no voltage was fused lately
             y[W * k.Y_ALIVE + c] = real(w, 1)
 
@@ -50,34 +51,44 @@ def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before
             w[W * slot + c] = real(w, 0)
     w[W * (m.x + k.SOC) + c] = soc
     w[W * m.root + c] = sigma
+    w[W * k.H_FRESH + c] = real(w, 1)
+    error = y[W * (k.Y_DYN + k.D_ERROR) + c]
+    error *= error
     for j in range(m.n_rc):
         row = k.V_RC1 + j
-        drop = resistance(p, y, m, c, soc, j) * before
-        w[W * (m.root + tri(row, row)) + c] = math.sqrt(p[k.P_VAR_V + j] + drop * drop)
+        drop = resistance(p, y, m, c, j) * before
+        w[W * (m.root + tri(row, row)) + c] = math.sqrt(error * p[k.P_VAR_V + j] + drop * drop)
     if m.hysteresis:
         row = k.V_RC1 + m.n_rc
         largest = dynamics(p, soc, y[W * k.Y_T + c], k.D_RC1 + 2 * m.n_rc, m.channels)
         # Anywhere between the branches: a uniform distribution.
-        w[W * (m.root + tri(row, row)) + c] = math.sqrt(p[k.P_VAR_V + m.n_rc] + largest * largest / real(w, 3))
+        anywhere = largest * largest / real(w, 3)
+        w[W * (m.root + tri(row, row)) + c] = math.sqrt(error * p[k.P_VAR_V + m.n_rc] + anywhere)
     if m.bias:
         w[W * (m.root + tri(m.n - 1, m.n - 1)) + c] = p[k.P_BIAS_SIGMA]
 
 
 @inline
-def resistance(p: Any, y: Any, m: Any, c: int, soc: Any, j: int) -> Any:
-    """r of an RC pair at any SoC, ohm."""
+def resistance(p: Any, y: Any, m: Any, c: int, j: int) -> Any:
+    """r of an RC pair at half charge, ohm: SoC is not known yet, and at the ends of a table r is beyond all measure."""
     W = m.lanes
-    return dynamics(p, soc, y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)
+    return dynamics(p, real(p, 0.5), y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)
 
 
 @inline
-def forget(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """Where voltages have been refused for P_REJECT_S, this one too, it is the SoC believed that is wrong: forget it.
+def doubt(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Where voltages have been refused for P_REJECT_S, this one too, the belief was too sure of itself: widen it.
 
-    The RC voltages are not: they follow from the current, and under load a SoC found without them would be far off.
+    SoC may be wrong, or the voltages that the current has left in the cell; which of them, nobody can tell. All sigmas
+    grow by the factor that makes this innovation one of one sigma, so the next voltage moves each as far as it is in
+    doubt.
     """
     W = m.lanes
     for c in range(lanes):
-        if y[W * k.Y_FUSE + c] == real(w, k.FORGET):
-            believe(p, w, y, m, c, real(w, 0.5), p[k.P_SOC_SIGMA_MAX], p[k.P_INITIAL_CURRENT])
+        if y[W * k.Y_FUSE + c] == real(w, k.DOUBT):
+            factor = abs(y[W * k.Y_INNOVATION + c]) / math.sqrt(y[W * k.Y_VARIANCE + c])
+            for slot in range(m.root, m.carry):
+                w[W * slot + c] *= factor
+            sigma = w[W * m.root + c]
+            w[W * m.root + c] = p[k.P_SOC_SIGMA_MAX] if sigma > p[k.P_SOC_SIGMA_MAX] else sigma
             w[W * k.H_REJECTED_S + c] = real(w, math.nan)

@@ -49,6 +49,7 @@ def take(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: 
         refused = w[W * k.H_REJECTED_S + c] + dt
         # Refusals with a silence between them are not an unbroken row.
         w[W * k.H_REJECTED_S + c] = nan if plausible & (heard > p[k.P_VOLTAGE_TIMEOUT]) else refused
+        y[W * k.Y_SINCE_HEARD + c] = heard if is_number(heard) else zero
         w[W * k.H_HEARD_AGE + c] = zero if plausible else heard
         w[W * k.H_VOLTAGE_AGE + c] += dt
         y[W * k.Y_VOLTAGE + c] = measured if plausible else nan

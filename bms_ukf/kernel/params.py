@@ -85,6 +85,7 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     unseen_A = 0.0 if tuning.current_bias else offset_A
     p[k.P_BIAS_SIGMA], p[k.P_BIAS_TAU] = offset_A, tuning.current_error_horizon_s
     p[k.P_CURRENT_OFFSET] = unseen_A
+    p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 1000, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
     p[k.P_SOC_WALK_GAIN] = (tuning.current_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
     _write_weights(p, form_of(cell, tuning).n, tuning, cell.cell.voltage_limits_V[1], bits)
@@ -95,11 +96,12 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     p[k.P_SOC_SIGMA_MIN], p[k.P_SOC_SIGMA_MAX] = SOC_SIGMA_MIN, SOC_SIGMA_MAX
     p[k.P_SOC_SIGMA_INVALID] = tuning.soc_sigma_invalid
     p[k.P_CACHE_TEMPERATURE] = CACHE_TEMPERATURE_K
+    p[k.P_ADAPT] = float(tuning.adaptive)
     p[k.P_INITIAL_SOC] = tuning.initial_soc
     p[k.P_INITIAL_SIGMA] = tuning.initial_soc_sigma
     p[k.P_WIDE_SIGMA] = tuning.wide_soc_sigma
     unknown_load = tuning.initial_current_sigma_A
-    p[k.P_INITIAL_CURRENT] = capacity_Ah / 5 if unknown_load is None else unknown_load
+    p[k.P_INITIAL_CURRENT] = capacity_Ah / 20 if unknown_load is None else unknown_load
 
 
 def _write_weights(p: Array, n: int, tuning: Tuning, voltage_V: float, bits: int) -> None:
@@ -163,7 +165,8 @@ def _ocv_table(cell: CellParams) -> tuple[Array, Array]:
 
 def _dynamics_table(cell: CellParams) -> tuple[Array, Array]:
     """(rows, knots, channels) values of the `D_*` channels, and the rows' temperatures."""
-    known = cell.dynamics.temperature_degC + (cell.hysteresis.temperature_degC if cell.hysteresis else [])
+    known = {*cell.dynamics.temperature_degC, *(cell.noise.temperature_degC or [])}
+    known |= set(cell.hysteresis.temperature_degC) if cell.hysteresis else set()
     temperatures = _uniform(sorted(known))
     soc = np.linspace(0, 1, DYN_INTERVALS + 1)
     rows = [np.column_stack(list(cell.dynamics_at(soc, temperature).values())) for temperature in temperatures]

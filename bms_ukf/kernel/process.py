@@ -124,9 +124,15 @@ def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         r0 = r0_charge if i < zero else r0_discharge
         knee = y[W * (k.Y_DYN + k.D_KNEE) + c]
         u = i / knee
-        drop = r0 * knee * asinh(p, u)
+        scale = w[W * k.H_R0_SCALE + c]
+        scale = scale if is_number(scale) else one
+        ohmic = r0 * knee * asinh(p, u)
+        r0 *= scale
+        drop = ohmic * scale
+        y[W * k.Y_R0 + c] = r0
+        y[W * k.Y_OHMIC + c] = real(p, math.nan) if unknown else ohmic
         y[W * k.Y_DROP + c] = zero if unknown else drop
-        y[W * k.Y_DROP_SIGMA + c] = drop if unknown else p[k.P_R0_REL] * drop
+        y[W * k.Y_DROP_SIGMA + c] = drop if unknown else p[k.P_R0_REL] * y[W * (k.Y_DYN + k.D_ERROR) + c] * drop
         if m.bias:
             y[W * k.Y_DROP_SLOPE + c] = r0 / math.sqrt(one + u * u)
 
@@ -204,7 +210,8 @@ def relax_hysteresis(p: Any, w: Any, y: Any, m: Any, c: int, lost: Any, g: Any, 
     g[h] = real(p, 0)
     gain[h] = to_target * (-largest if w[W * k.H_CURRENT + c] < real(p, 0) else largest)
     anywhere = largest * largest / real(p, 3)
-    stationary = p[k.P_VAR_V + m.n_rc] + (anywhere if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0))
+    error = y[W * (k.Y_DYN + k.D_ERROR) + c]
+    stationary = error * error * p[k.P_VAR_V + m.n_rc] + (anywhere if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0))
     q[h] = noise_root(p, lost[h], stationary)
 
 
@@ -224,10 +231,11 @@ def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, 
     # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate. An offset of
     # the current shifts every drop for good; the slowest process carries that of r0 too.
     r0 = y[W * (k.Y_DYN + k.D_R0) + c]
-    error = p[k.P_RC_REL] * r * i
+    times = y[W * (k.Y_DYN + k.D_ERROR) + c]
+    relative = p[k.P_RC_REL] * r * i
     shift = p[k.P_CURRENT_OFFSET] * (r + r0 if j == m.n_rc - 1 else r)
     unknown = r * p[k.P_CURRENT_RANGE]
-    stationary = p[k.P_VAR_V + j] + error * error + shift * shift
+    stationary = times * times * (p[k.P_VAR_V + j] + relative * relative) + shift * shift
     stationary += unknown * unknown if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0)
     q[k.V_RC1 + j] = noise_root(p, lost[k.V_RC1 + j], stationary)
 

@@ -33,6 +33,7 @@ from bms_ukf.kernel.layout import (
     Y_INNOVATION,
     Y_NOISE,
     Y_PREDICTED,
+    Y_TRUST,
     Y_VARIANCE,
     tri,
 )
@@ -189,7 +190,8 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
     """Measurement update with what `innovate` left, where Y_FUSE says so; elsewhere x and sqrt_P stay.
 
     Carlson's triangular update (AIAA Journal 11(9), 1973, pp. 1259-1265), from the last column to the first: sums of
-    squares only. Variances shrink or stay.
+    squares only. Variances shrink or stay. The bias takes the share Y_TRUST of its gain, and its variance keeps what
+    belongs to the rest (see `bias`).
     """
     W = m.lanes
     gain = vector(w, N_MAX)
@@ -213,6 +215,12 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
             w[here] = new if fuse else old
         alpha = alpha_next
     weight = y[W * Y_INNOVATION + c] / alpha
+    if m.bias:
+        here = W * (m.root + tri(n - 1, n - 1)) + c
+        refused = (real(w, 1) - y[W * Y_TRUST + c]) * gain[n - 1]
+        old = w[here]
+        w[here] = math.sqrt(old * old + refused * refused / alpha) if fuse else old
+        gain[n - 1] *= y[W * Y_TRUST + c]
     for j in range(n):
         increment = gain[j] * weight
         add(w, c, m, j, increment if fuse else real(w, 0))

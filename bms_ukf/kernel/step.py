@@ -3,7 +3,7 @@
 This is policy, and it is in the kernel so that the daemon, a replay, a microcontroller and an FMU share it bit for bit.
 Every phase is a loop over the lanes that writes only to the working copy `w`: so the loops become vector instructions,
 and nothing is half done when a result turns out not to be finite. What happens rarely (a first voltage, a wide belief,
-a belief to be forgotten) has loops of its own, with branches.
+a belief to be doubted) has loops of its own, with branches.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel import belief, inputs, process, voltage
+from bms_ukf.kernel import adapt, belief, bias, inputs, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
@@ -46,12 +46,16 @@ def step(
         process.relax(p, w, y, m, lanes, dt, gaps)
         process.advance(p, w, y, m, lanes, dt)
     belief.start(p, w, y, m, lanes)
+    if m.bias:
+        bias.stand_still(p, w, y, m, lanes, dt)
+        bias.fuse_rest(p, w, y, io, first, rows, m, lanes, dt)
     voltage.look_up(p, w, y, m, lanes)
     special = voltage.compare(p, w, y, m, lanes)
+    adapt.learn(p, w, y, m, lanes)
     voltage.fuse(p, w, y, m, lanes)
     if special:
         voltage.fuse_wide(p, w, y, m, lanes)
-        belief.forget(p, w, y, m, lanes)
+        belief.doubt(p, w, y, m, lanes)
     inputs.missing(p, w, y, m, lanes)
     refuse(s, o, w, y, m, lanes)
     judge(p, w, y, m, lanes)
@@ -92,8 +96,7 @@ def innovate(p: Any, s: Any, w: Any, y: Any, m: Any, z: Any) -> int:
 def update(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
     """Fuse the voltage that `innovate` compared, whatever the gate said of it. Returns fault bits."""
     load(s, 0, w, y, m, 1)
-    wide = w[m.root] > p[k.P_WIDE_SIGMA]
-    y[k.Y_FUSE] = real(p, k.BY_QUADRATURE) if wide else real(p, k.BY_SIGMA_POINTS)
+    y[k.Y_FUSE] = real(p, k.BY_QUADRATURE) if voltage.is_wide(p, w, m, 0) else real(p, k.BY_SIGMA_POINTS)
     y[k.Y_CODE] = real(p, 0) if is_number(y[k.Y_INNOVATION]) else real(p, math.nan)
     voltage.fuse(p, w, y, m, 1)
     voltage.fuse_wide(p, w, y, m, 1)
@@ -186,6 +189,8 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
         y[W * k.Y_VARIANCE + c] = variance if compared else nan
         y[W * k.Y_NIS + c] = innovation * innovation / variance if compared else nan
         y[W * k.Y_BIAS + c] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
+        r0 = y[W * k.Y_R0 + c]
+        y[W * k.Y_R0 + c] = r0 if y[W * k.Y_ALIVE + c] > zero else nan
     # A row at a time: rows that might overlap would take more checks than LLVM is ready to make.
     show(io, rows * k.OUT_SOC + first, y, W * k.Y_SOC, lanes)
     show(io, rows * k.OUT_SOC_SIGMA + first, w, W * m.root, lanes)
@@ -195,6 +200,7 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
     show(io, rows * k.OUT_NIS + first, y, W * k.Y_NIS, lanes)
     show(io, rows * k.OUT_AGE + first, w, W * k.H_VOLTAGE_AGE, lanes)
     show(io, rows * k.OUT_BIAS + first, y, W * k.Y_BIAS, lanes)
+    show(io, rows * k.OUT_R0 + first, y, W * k.Y_R0, lanes)
     show(io, rows * k.OUT_CODE + first, y, W * k.Y_CODE, lanes)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bms_ukf.kernel import bias
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import between_rows, clamp, is_number, ocv_cubic, ocv_interval
@@ -60,9 +61,14 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         sigma = y[W * k.Y_DROP_SIGMA + c]
         # Neither sensor nor model errors are new every millisecond: readings that crowd are each worth less.
         age = clamp(w[W * k.H_VOLTAGE_AGE + c], real(p, TINY_ROOT), real(p, VOLTAGE_ERROR_S))
-        r = real(p, VOLTAGE_ERROR_S) / age * (p[k.P_VAR_VOLTAGE] + sigma * sigma)
+        error = y[W * (k.Y_DYN + k.D_ERROR) + c]
+        r = error * error * p[k.P_VAR_VOLTAGE] + sigma * sigma
+        r *= real(p, VOLTAGE_ERROR_S) / age * w[W * k.H_VOLTAGE_SCALE + c]
         g0, g_plus, g_minus = y[W * k.Y_OCV_D + c], y[W * (k.Y_OCV_D + 1) + c], y[W * (k.Y_OCV_D + 2) + c]
         innovate(p, w, y, c, m, z, y[W * k.Y_DROP + c], g0, g_plus, g_minus, r)
+        if m.bias:
+            by_soc = p[k.P_W] * p[k.P_GAMMA] * (g_plus - g_minus)
+            bias.weigh(p, y, m, c, by_soc * by_soc)
         innovation = y[W * k.Y_INNOVATION + c]
         heard = is_number(z) & (y[W * k.Y_ALIVE + c] > zero)
         sound = innovation + y[W * k.Y_VARIANCE + c]
@@ -78,13 +84,24 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         w[W * k.H_REJECTED_S + c] = waited
         code = real(p, INNOVATION_REJECTED) if refused else zero
         y[W * k.Y_CODE + c] += real(p, math.nan) if heard & (not compared) else code  # NaN: to be refused
-        wide = fuse & (w[W * m.root + c] > p[k.P_WIDE_SIGMA])
-        forget = refused & (since >= p[k.P_REJECT_S])
-        special |= 1 if wide | forget else 0
+        wide = fuse & is_wide(p, w, m, c)
+        doubt = refused & (since >= p[k.P_REJECT_S])
+        special |= 1 if wide | doubt else 0
         how = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
         how = real(p, k.BY_QUADRATURE) if wide else how
-        y[W * k.Y_FUSE + c] = real(p, k.FORGET) if forget else how
+        y[W * k.Y_FUSE + c] = real(p, k.DOUBT) if doubt else how
     return special
+
+
+@inline
+def is_wide(p: Any, w: Any, m: Any, c: int) -> Any:
+    """Whether the belief asks for the quadrature of `wide`: for its first voltage only.
+
+    What a quadrature leaves is not Gaussian, and the Gaussian that takes its place has tails the voltage had cut off. The
+    same voltage would cut them off again a second later, as if it were news, and at last a belief on a plateau would be
+    sure of its middle. Sigma points take the curve's ends for noise instead.
+    """
+    return (w[m.lanes * k.H_FRESH + c] > real(p, 0)) & (w[m.lanes * m.root + c] > p[k.P_WIDE_SIGMA])
 
 
 @inline
@@ -96,8 +113,9 @@ def fuse(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         update(w, y, c, m)
     for c in range(lanes):
         fused = y[W * k.Y_FUSE + c] > real(p, k.IGNORE)
-        age = w[W * k.H_VOLTAGE_AGE + c]
+        age, fresh = w[W * k.H_VOLTAGE_AGE + c], w[W * k.H_FRESH + c]
         w[W * k.H_VOLTAGE_AGE + c] = zero if fused else age
+        w[W * k.H_FRESH + c] = zero if fused else fresh
 
 
 @inline
