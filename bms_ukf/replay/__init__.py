@@ -1,0 +1,1 @@
+"""Recordings re-run through an estimator."""
