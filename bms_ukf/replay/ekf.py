@@ -1,10 +1,10 @@
 """The textbook extended Kalman filter on the cell's circuit, over a whole recording: what ours is compared with.
 
     x = [soc, v_rc1 .., v_hyst]      z = ocv(soc, T) - v_rc1 .. - v_hyst - r0 knee asinh(i / knee)
-    x' = F x + B i,  P' = F P F^T + Q;    H = [docv/dsoc, -1 ..],  K = P H^T / (H P H^T + R),  P = (I - K H) P (I - K H)^T + K R K^T
+    x' = F x + B i,  P' = F P F^T + Q
+    H = [docv/dsoc, -1 ..],  S = H P H^T + R,  x += P H^T / S innovation,  P -= P H^T H P / S
 
-as in Plett, Battery Management Systems II, 2015, chapter 3, with Joseph's form of the covariance update. It is tuned as
-carefully as ours: the same cell file with all its tables, the same parameters at the mean SoC, the same noise (the
+as in Plett, Battery Management Systems II, 2015, chapter 3. It is tuned as carefully as ours: the same cell file with all its tables, the same parameters at the mean SoC, the same noise (the
 model error as correlated processes), the same first belief. What it does not have is what makes the difference between
 the filters: it takes the OCV curve for its tangent line, whatever its own uncertainty, and believes every voltage.
 """
@@ -55,7 +55,8 @@ class Model(NamedTuple):
     initial_load_sigma_A: float
 
 
-def model(cell: CellParams, tuning: Tuning) -> Model:
+def model_of(cell: CellParams, tuning: Tuning) -> Model:
+    """What `run` needs of a cell file and the sensors."""
     limits, noise = cell.cell, cell.noise
     known = cell.ocv.temperature_degC + cell.dynamics.temperature_degC + limits.temperature_limits_degC
     rows = int(np.ceil((max(known) - min(known)) / TEMPERATURE_STEP_K)) + 2
@@ -90,12 +91,12 @@ def model(cell: CellParams, tuning: Tuning) -> Model:
     )
 
 
-def run(cell: CellParams, signals: Signals, told: Told, tuning: Tuning) -> dict[str, NDArray[Any]]:
+def run(model: Model, signals: Signals, told: Told) -> dict[str, NDArray[Any]]:
     """As `Estimator.replay`: arrays by the names of `Estimate`'s fields, a row a sample."""
     rows = signals.time_s.size
     soc, sigma, predicted, innovation, nis = (np.full(rows, np.nan) for _ in range(5))
     inputs = (signals.step_s, signals.current_A, signals.voltage_V, signals.temperature_degC)
-    _run(model(cell, tuning), *inputs, told.soc, told.sigma, soc, sigma, predicted, innovation, nis)
+    _run(model, *inputs, told.soc, told.sigma, soc, sigma, predicted, innovation, nis)
     return {
         "soc": np.clip(soc, 0, 1),
         "soc_sigma": sigma,
@@ -124,7 +125,7 @@ def _run(
 ) -> None:
     n = 1 + m.n_rc + m.hysteresis
     x, F, q = np.zeros(n), np.ones(n), np.zeros(n)
-    P, H, at = np.zeros((n, n)), np.full(n, -1.0), np.zeros(m.dynamics.shape[2])
+    P, H, K, at = np.zeros((n, n)), np.full(n, -1.0), np.zeros(n), np.zeros(m.dynamics.shape[2])
     core_K, since_s = 0.0, VOLTAGE_ERROR_S
     for k in range(step_s.size):
         dt, i, T = step_s[k], current_A[k], temperature_degC[k] + core_K
@@ -138,18 +139,12 @@ def _run(
         since_s += dt
         if np.isfinite(voltage_V[k]):
             ocv, H[0] = _ocv(m, x[0], T)
-            innovation = voltage_V[k] - (ocv - x[1:].sum() - drop)
+            out_predicted[k] = ocv - x[1:].sum() - drop
+            out_innovation[k] = voltage_V[k] - out_predicted[k]
             R = m.voltage_var_V2 + (m.r0_rel_sigma * drop) ** 2
             R *= VOLTAGE_ERROR_S / min(max(since_s, 1e-6), VOLTAGE_ERROR_S)
-            PH = P @ H
-            S = H @ PH + R
-            K = PH / S
-            x += K * innovation
-            keep = np.eye(n) - np.outer(K, H)
-            P[:] = keep @ P @ keep.T + R * np.outer(K, K)
+            out_nis[k] = out_innovation[k] ** 2 / _measurement_update(out_innovation[k], H, R, x, P, K)
             since_s = 0.0
-            out_predicted[k], out_innovation[k] = voltage_V[k] - innovation, innovation
-            out_nis[k] = innovation * innovation / S
         x[0] = min(max(x[0], -SOC_BEYOND), 1.0 + SOC_BEYOND)
         out_soc[k], out_sigma[k] = x[0], np.sqrt(P[0, 0])
 
@@ -187,6 +182,23 @@ def _time_update(m: Model, dt: float, i: float, efficiency: float, at: Array, x:
         for column in range(x.size):
             P[row, column] *= F[row] * F[column]
         P[row, row] += q[row]
+
+
+@njit(cache=True)
+def _measurement_update(innovation: float, H: Array, R: float, x: Array, P: Array, K: Array) -> float:
+    """Fuse an innovation and return its variance S. `K` is scratch for P H; P - P H (P H)^T / S stays symmetric."""
+    n = x.size
+    S = R
+    for row in range(n):
+        K[row] = 0.0
+        for column in range(n):
+            K[row] += P[row, column] * H[column]
+        S += H[row] * K[row]
+    for row in range(n):
+        x[row] += K[row] / S * innovation
+        for column in range(n):
+            P[row, column] -= K[row] * K[column] / S
+    return S
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ from bms_ukf import metrics
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.manifest import Manifest
-from bms_ukf.replay.estimators import ESTIMATORS, Columns, run
+from bms_ukf.replay.estimators import ESTIMATORS, Columns, prepare
 from bms_ukf.score import cases, recorded
 from bms_ukf.score.cases import Case
 from bms_ukf.score.recorded import Recorded
@@ -50,6 +50,7 @@ def score(
     if not any(test.use == "validate" for test in scored):
         expected = 'at least one test of role "drive" or "charge" with use = "validate"'
         raise ConfigError(path, key="test", expected=expected)
+    runners = {name: prepare(name, cell, tuning) for name in estimators}
     outcomes: list[Outcome] = []
     held_out: list[Recorded] = []
     nominal: dict[tuple[str, str], Columns] = {}
@@ -64,8 +65,8 @@ def score(
         for case in cases.of(loaded, cell.cell.capacity_Ah):
             if test.use == "fit" and case.kind != cases.NOMINAL:
                 continue
-            for name in estimators:
-                columns = run(name, cell, case.signals, case.told, tuning)
+            for name, run in runners.items():
+                columns = run(case.signals, case.told)
                 outcomes.append(_outcome(name, loaded, case, columns))
                 if case.kind == cases.NOMINAL and test.use == "validate":
                     nominal[loaded.name, name] = columns
