@@ -129,6 +129,35 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
         write_report(report, found)
 
 
+@cli.command("score")
+@click.argument("manifest", type=PATH)
+@click.option("--cell", required=True, help="A cell file, or the name of a shipped one.")
+@click.option("--gate", "gates", multiple=True, metavar="NAME=LIMIT", help="Exit 1 above it: weighted_rmse_pct=2.5")
+@click.option("--json", "json_path", type=PATH, callback=_writable, help="Write all figures here.")
+@click.option("--report", type=PATH, help="Write a page with plots here, or plots and page into this folder.")
+def score_(manifest: Path, cell: str, gates: tuple[str, ...], json_path: Path | None, report: Path | None) -> None:
+    """Score the estimator over the tests of a MANIFEST that were not fitted, as the blind SoC benchmark does."""
+    from rich.console import Console
+
+    from bms_ukf import score
+    from bms_ukf.cell import CellParams
+    from bms_ukf.report.score import write_report
+    from bms_ukf.score import gate, view
+
+    limits = [gate.parse(text) for text in gates]
+    loaded = CellParams.load(cell)
+    with Console(stderr=True).status("score") as status:
+        found = score.score(manifest, loaded, progress=status.update)
+    view.show(found.summary, Console())
+    if json_path is not None:
+        _write_json(json_path, found.summary)
+    if report is not None:
+        write_report(report, found)
+    verdicts = [verdict for name, limit in limits if (verdict := gate.verdict(found.summary, name, limit))]
+    if verdicts:
+        raise BmsError("; ".join(verdicts))
+
+
 def _write_json(path: Path, data: dict[str, Any]) -> None:
     try:
         path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -5,13 +5,11 @@ Importing this does not import matplotlib; writing a report does.
 
 from __future__ import annotations
 
-import platform
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bms_ukf import metrics
-from bms_ukf.report.page import write_page
+from bms_ukf.report.page import machine, write_page
 from bms_ukf.trace import Trace
 
 if TYPE_CHECKING:
@@ -62,7 +60,7 @@ def write_report(target: Path, trace: Trace, summary: dict[str, Any], *, title: 
         checks=metrics.judge(summary) if scored else [],
         figures=figures if scored else [],
         provenance=[(name, form.format(summary[key])) for name, key, form in _PROVENANCE if key in summary]
-        + [("Versions", _versions()), ("Machine", f"{platform.system()} {platform.machine()}")],
+        + machine(),
     )
 
 
@@ -74,14 +72,3 @@ def _plots(trace: Trace) -> list[tuple[Plot, bytes]]:
 
 def _text(figure: float | None, factor: float, form: str) -> str:
     return "–" if figure is None else form.format(factor * figure)
-
-
-def _versions() -> str:
-    """Of this package and what its numbers depend on."""
-    installed = []
-    for name in ("bms-ukf", "numpy", "numba"):
-        try:
-            installed.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            installed.append(f"{name} (not installed as a package)")
-    return ", ".join([*installed, f"Python {platform.python_version()}"])

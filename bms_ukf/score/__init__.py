@@ -50,7 +50,8 @@ def score(
     if not any(test.use == "validate" for test in scored):
         expected = 'at least one test of role "drive" or "charge" with use = "validate"'
         raise ConfigError(path, key="test", expected=expected)
-    runners = {name: prepare(name, cell, tuning) for name in estimators}
+    sensors = tuning or Tuning()
+    runners = {name: prepare(name, cell, sensors) for name in estimators}
     outcomes: list[Outcome] = []
     held_out: list[Recorded] = []
     nominal: dict[tuple[str, str], Columns] = {}
@@ -62,7 +63,7 @@ def score(
         loaded = recorded.sample(recording, test)
         if test.use == "validate":
             held_out.append(loaded)
-        for case in cases.of(loaded, cell.cell.capacity_Ah):
+        for case in cases.of(loaded, cell.cell.capacity_Ah, sensors.initial_soc_sigma):
             if test.use == "fit" and case.kind != cases.NOMINAL:
                 continue
             for name, run in runners.items():

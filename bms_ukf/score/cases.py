@@ -1,8 +1,7 @@
 """What a recording is made to test: the start that an estimator is told, and the error of its current sensor.
 
 The cases are those of the blind benchmark of McMaster University (Kollmeyer et al., ITEC 2022), and a start-up case.
-All recordings are known to an estimator at 1 Hz only; what it is told of SoC has the sigma that `Tuning` gives a told
-SoC by default, since no estimator can know which case it is in.
+What an estimator is told of SoC has the same sigma in all of them: it cannot know which case it is in.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from bms_ukf.replay.signals import Signals, Told
 from bms_ukf.score.recorded import STEP_S, Recorded
-from bms_ukf.tuning import Tuning
 
 Array = NDArray[np.float64]
 
@@ -45,9 +43,11 @@ class Case:
         return self.kind + shown.get(self.kind, f" {self.value:g}")
 
 
-def of(recorded: Recorded, capacity_Ah: float) -> Iterator[Case]:
-    """Every case the recording can fill; wrong starts are for drives, as a charge has no standstill to begin at."""
-    sigma = Tuning().initial_soc_sigma
+def of(recorded: Recorded, capacity_Ah: float, sigma: float) -> Iterator[Case]:
+    """Every case the recording can fill; wrong starts are for drives, as a charge has no standstill to begin at.
+
+    `sigma` is that of every SoC told.
+    """
     signals, start = recorded.signals, recorded.start_soc
     reference = np.where(recorded.counted, recorded.soc_ref, np.nan)
     yield Case(NOMINAL, 0.0, signals, reference, Told(start, sigma))
