@@ -1,1 +1,1 @@
-"""Recordings re-run through an estimator."""
+"""`bms-ukf replay`: recordings re-run through an estimator."""

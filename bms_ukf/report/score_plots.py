@@ -30,7 +30,12 @@ class ScorePlot:
 def render(found: Score) -> Iterator[tuple[ScorePlot, bytes]]:
     """Every plot as PNG."""
     plots = [
-        ScorePlot("groups", "RMSE by group; the weighted score is made of those with a weight.", lambda f: _groups(found, f), 3.2),
+        ScorePlot(
+            "groups",
+            "RMSE by group; the weighted score is made of those with a weight.",
+            lambda f: _groups(found, f),
+            3.2,
+        ),
         ScorePlot("temperatures", "RMSE by temperature, nominal.", lambda f: _temperatures(found, f), 2.8),
     ]
     for recorded in found.recordings:
@@ -86,9 +91,7 @@ def _soc(found: Score, recorded: Recorded, figure: Figure) -> None:
     names = [name for recording, name in found.nominal if recording == recorded.name]
     ours = found.nominal[recorded.name, names[0]]
     band = 100 * SIGMAS_95 * ours["soc_sigma"]
-    soc.fill_between(
-        time_h, 100 * ours["soc"] - band, 100 * ours["soc"] + band, color=ESTIMATE, alpha=0.2, linewidth=0
-    )
+    soc.fill_between(time_h, 100 * ours["soc"] - band, 100 * ours["soc"] + band, color=ESTIMATE, alpha=0.2, linewidth=0)
     soc.plot(*envelope(time_h, 100 * recorded.soc_ref), color=TRUTH, linewidth=1.8, alpha=0.6)
     soc.plot(*envelope(time_h, 100 * ours["soc"]), color=ESTIMATE, linewidth=1.0)
     soc.set(title=recorded.name, ylabel="SoC [%]", ylim=(-5, 105))

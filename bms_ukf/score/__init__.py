@@ -1,7 +1,7 @@
 """`bms-ukf score`: the blind benchmark's grid over a user's recordings, for three estimators from one cell file.
 
-    result = score(Path("manifest.toml"), CellParams.load("panasonic_ncr18650pf"))
-    result.summary["estimators"]["srukf"]["weighted_rmse_pct"]
+result = score(Path("manifest.toml"), CellParams.load("panasonic_ncr18650pf"))
+result.summary["estimators"]["srukf"]["weighted_rmse_pct"]
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bms_ukf import metrics
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.manifest import Manifest
-from bms_ukf.replay.estimators import ESTIMATORS, Columns, prepare
+from bms_ukf.offline.estimators import ESTIMATORS, Columns, prepare
 from bms_ukf.score import cases, recorded
 from bms_ukf.score.cases import Case
 from bms_ukf.score.recorded import Recorded

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf.replay.signals import Signals, Told
+from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.score.recorded import STEP_S, Recorded
 
 Array = NDArray[np.float64]

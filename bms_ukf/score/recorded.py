@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from bms_ukf import manifest
 from bms_ukf.errors import ConfigError
 from bms_ukf.manifest import Manifest, MeasuredTest
+from bms_ukf.offline.signals import Signals
 from bms_ukf.recordings import Recording, estimate_voltage_lag_s, read, require_sign, resample
-from bms_ukf.replay.signals import Signals
 
 Array = NDArray[np.float64]
 

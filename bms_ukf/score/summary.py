@@ -26,7 +26,9 @@ from bms_ukf.score.recorded import Recorded
 from bms_ukf.score.weights import Outcome
 
 
-def summarise(path: Path, cell: CellParams, recordings: Sequence[Recorded], outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def summarise(
+    path: Path, cell: CellParams, recordings: Sequence[Recorded], outcomes: Sequence[Outcome]
+) -> dict[str, Any]:
     names = list(dict.fromkeys(outcome.estimator for outcome in outcomes))
     filled = weights.grouped(outcomes)
     capacity_Ah = cell.cell.capacity_Ah

@@ -26,15 +26,15 @@ def groups(summary: dict[str, Any]) -> Table:
         rows.append([name, weight, *_compared(summary, "groups", name)])
     fitted = [estimator["fitted"] for estimator in estimators.values()]
     if fitted[0] is not None:
-        rows.append(["fitted, nominal", "apart", *(_number(found["rmse_pct"]) for found in fitted), *_detail(fitted[0])])
+        rows.append(
+            ["fitted, nominal", "apart", *(_number(found["rmse_pct"]) for found in fitted), *_detail(fitted[0])]
+        )
     return Table("RMSE by group, % SoC", ["group", "weight", *_names(summary), *_DETAIL], rows)
 
 
 def temperatures(summary: dict[str, Any]) -> Table:
     """The same by temperature, nominal."""
-    rows = [
-        [f"{degree} °C", *_compared(summary, "temperatures", degree)] for degree in _ours(summary)["temperatures"]
-    ]
+    rows = [[f"{degree} °C", *_compared(summary, "temperatures", degree)] for degree in _ours(summary)["temperatures"]]
     return Table("RMSE by temperature, nominal, % SoC", ["temperature", *_names(summary), *_DETAIL], rows)
 
 
@@ -73,7 +73,7 @@ def notes(summary: dict[str, Any]) -> list[str]:
     return [
         f"Offsets: {offsets}.",
         f"Not filled: {', '.join(summary['missing'])}.",
-        "Where the reference is counted from the same current, coulomb counting without an error is right by construction.",
+        "Where the reference was counted from the same current, coulomb counting is right until an error is added.",
     ]
 
 

@@ -4,9 +4,10 @@
     x' = F x + B i,  P' = F P F^T + Q
     H = [docv/dsoc, -1 ..],  S = H P H^T + R,  x += P H^T / S innovation,  P -= P H^T H P / S
 
-as in Plett, Battery Management Systems II, 2015, chapter 3. It is tuned as carefully as ours: the same cell file with all its tables, the same parameters at the mean SoC, the same noise (the
-model error as correlated processes), the same first belief. What it does not have is what makes the difference between
-the filters: it takes the OCV curve for its tangent line, whatever its own uncertainty, and believes every voltage.
+as in Plett, Battery Management Systems II, 2015, chapter 3. It is tuned as carefully as ours: the same cell file with
+all its tables, the same parameters at the mean SoC, the same noise (the model error as correlated processes), the same
+first belief. What it does not have is what makes the difference between the filters: it takes the OCV curve for its
+tangent line, whatever its own uncertainty, and believes every voltage.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bms_ukf.cell import CellParams
+from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.records import Status
-from bms_ukf.replay.signals import Signals, Told
 from bms_ukf.tuning import Tuning
 
 Array = NDArray[np.float64]
@@ -163,7 +164,9 @@ def _begin(m: Model, soc: float, sigma: float, i: float, at: Array, x: Array, P:
 
 
 @njit(cache=True)
-def _time_update(m: Model, dt: float, i: float, efficiency: float, at: Array, x: Array, P: Array, F: Array, q: Array) -> None:
+def _time_update(
+    m: Model, dt: float, i: float, efficiency: float, at: Array, x: Array, P: Array, F: Array, q: Array
+) -> None:
     x[0] -= efficiency * i * dt / m.charge_As
     q[0] = dt * (m.soc_walk_offset + m.soc_walk_gain * i * i)
     for j in range(m.n_rc):

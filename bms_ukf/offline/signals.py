@@ -1,4 +1,4 @@
-"""What an estimator is given of a recording: the measured signals, with or without errors, and what it is told of SoC."""
+"""What an estimator is given of a recording: its signals, with or without errors, and what it is told of SoC."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Told:
 
 @dataclass(slots=True, frozen=True)
 class Signals:
-    """Arrays of shape (n,). Row k's current is the mean over (t[k-1], t[k]], positive on discharge; NaN: not measured."""
+    """Arrays of shape (n,). Row k's current, positive = discharge, is the mean over (t[k-1], t[k]]; NaN: missing."""
 
     time_s: Array  # increasing
     current_A: Array
@@ -42,7 +42,12 @@ class Signals:
     def t_ns(self) -> NDArray[np.int64]:
         return np.round(self.time_s * 1e9).astype(np.int64)
 
-    def with_errors(self, current_offset_A: float = 0.0, current_gain: float = 1.0, voltage_offset_V: float = 0.0) -> Signals:
+    def with_errors(
+        self, current_offset_A: float = 0.0, current_gain: float = 1.0, voltage_offset_V: float = 0.0
+    ) -> Signals:
         """The signals as faulty sensors would show them."""
         current_A = current_gain * self.current_A + current_offset_A
         return replace(self, current_A=current_A, voltage_V=self.voltage_V + voltage_offset_V)
+
+    def rows(self, kept: slice) -> Signals:
+        return Signals(self.time_s[kept], self.current_A[kept], self.voltage_V[kept], self.temperature_degC[kept])

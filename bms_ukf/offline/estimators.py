@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
+from bms_ukf.offline import ekf
+from bms_ukf.offline.signals import Signals, Told
+from bms_ukf.offline.start import from_first_voltage
 from bms_ukf.records import Status
-from bms_ukf.replay import ekf
-from bms_ukf.replay.signals import Signals, Told
-from bms_ukf.replay.start import from_first_voltage
 from bms_ukf.tuning import Tuning
 
 Columns = dict[str, NDArray[Any]]
@@ -50,7 +50,7 @@ def extended(cell: CellParams, tuning: Tuning) -> Runner:
 
 
 def coulomb(cell: CellParams, tuning: Tuning) -> Runner:
-    """The charge counted from the start; its sigma is what the current sensor's offset and gain may have added up to."""
+    """The charge counted from the start; its sigma is what the sensor's offset and gain may have added up to."""
     limits = cell.cell
     charge_As = 3600 * limits.capacity_Ah
     offset_A = limits.capacity_Ah / 100 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
