@@ -35,9 +35,8 @@ def replay(bms_ukf, drive: Path, tmp_path: Path):
         assert ended.code == 0, ended.err
         with out.open() as file:
             found = list(csv.DictReader(file))
-        columns = {name: np.array([row[name] for row in found]) for name in found[0]}
-        words = {"status", "faults"}
-        numbers = {name: texts.astype(float) for name, texts in columns.items() if name not in words}
+        columns = {name: np.array([row[name] or "nan" for row in found]) for name in found[0]}
+        numbers = {name: column.astype(float) for name, column in columns.items() if name not in {"status", "faults"}}
         columns |= numbers
         return columns, json.loads(summary.read_text())
 
