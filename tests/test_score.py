@@ -231,7 +231,7 @@ def test_ours_finds_the_start_that_coulomb_counting_cannot(scored: tuple[dict, s
 def test_the_page_holds_tables_and_plots_and_refers_to_nothing_outside(scored: tuple[dict, str]) -> None:
     _, page = scored
     assert page.count("data:image/png;base64,") == 2 + 3
-    for word in ("weighted", "coulomb counting", "payloads", "offset +0.3 A", "warm", "(fitted)"):
+    for word in ("weighted", "coulomb", "payloads", "offset +0.3 A", "warm", "(fitted)"):
         assert word in page, word
     assert not re.search(r"https?:|url\(|@import|<script|<link", re.sub(r"base64,[^\"]+", "", page))
 

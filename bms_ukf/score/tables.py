@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from bms_ukf.score import cases
 
-SHOWN = {"srukf": "bms-ukf", "ekf": "EKF", "coulomb": "coulomb counting"}
+SHOWN = {"srukf": "bms-ukf", "ekf": "EKF", "coulomb": "coulomb"}
 NONE = "–"
 
 
