@@ -56,7 +56,7 @@ def kalman(cell: CellParams, given: Signals, told: Told) -> tuple[np.ndarray, np
 def test_on_a_linear_cell_the_ekf_is_the_kalman_filter() -> None:
     given, told = signals(), Told(0.7, 0.1)
     soc, sigma = kalman(LINEAR, given, told)
-    found = prepare("ekf", LINEAR)(given, told)
+    found = prepare("ekf", LINEAR, Tuning(gate_sigmas=1e6))(given, told)
     assert found["soc"] == pytest.approx(soc, abs=1e-9)
     assert found["soc_sigma"] == pytest.approx(sigma, rel=1e-6)
 
@@ -68,6 +68,17 @@ def test_on_a_linear_cell_with_wide_gates_ours_and_the_ekf_agree() -> None:
     ours, ekf = (prepare(name, LINEAR, tuning)(given, told) for name in ("srukf", "ekf"))
     assert ours["soc"] == pytest.approx(ekf["soc"], abs=2e-4)
     assert ours["soc_sigma"] == pytest.approx(ekf["soc_sigma"], rel=0.02)
+
+
+def test_the_ekf_refuses_an_outlier_and_finds_its_way_when_it_was_soc_that_was_wrong() -> None:
+    given = signals()
+    right = prepare("ekf", LINEAR)(given, Told(0.7, 0.1))["soc"]
+    outlier = given.with_errors()
+    outlier.voltage_V[300] += 0.5
+    assert prepare("ekf", LINEAR)(outlier, Told(0.7, 0.1))["soc"][300] == pytest.approx(right[300], abs=1e-3)
+    wrong = prepare("ekf", LINEAR)(given, Told(0.2, 0.001))["soc"]
+    assert wrong[20] == pytest.approx(0.2, abs=0.02)
+    assert wrong[-1] == pytest.approx(right[-1], abs=0.02)
 
 
 def test_ours_is_the_estimator_and_nothing_else(cell: CellParams) -> None:

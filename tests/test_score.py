@@ -86,6 +86,13 @@ def test_a_drive_makes_every_case_it_can_fill() -> None:
     assert sorted(by_name(made(role="charge"))) == sorted(["nominal", *offsets])
 
 
+def test_a_cut_that_leaves_hardly_a_row_to_count_is_no_case() -> None:
+    recorded = made()
+    short = Recorded(recorded.test, "made", recorded.signals, recorded.soc_ref, np.arange(2000) < 1600)
+    assert "initial 0.6" not in by_name(short)
+    assert "initial 0.9" in by_name(short)
+
+
 def test_an_offset_is_added_to_the_current_in_the_projects_own_sign() -> None:
     found = by_name(made())
     added_A = found["offset -0.3 A"].signals.current_A - found["nominal"].signals.current_A
@@ -191,7 +198,7 @@ def test_the_groups_are_those_the_recordings_fill_and_the_others_are_named(score
     filled = ["charging", "standard cycles", "mixed cycles", "initial SoC", "current offset", "temperatures"]
     assert summary["weights"] == pytest.approx(dict.fromkeys(filled, 1 / 6))
     assert {"withheld cell", "open cells", "payloads"} < set(summary["missing"])
-    assert "initial SoC 0.3 of warm: no standstill near it" in summary["missing"]
+    assert "initial SoC 0.3 (warm, cold)" in summary["missing"]
     assert summary["offsets_c_rate"]["+0.1"] == pytest.approx(0.02, rel=0.05)
 
 
@@ -245,6 +252,7 @@ def test_a_part_of_a_file_is_estimated_from_its_start_and_counted_where_it_lies(
     offset = {found["recording"]: found["figures"] for found in coulomb if found["case"] == "offset +0.3 A"}
     first, second = offset["warm 0-50 %"], offset["warm 50-100 %"]
     assert first["n_scored"] == pytest.approx(second["n_scored"], abs=2)
+    assert not [found for found in coulomb if found["figures"]["n_scored"] == 0]
     # The counter's error grows from the file's start: over the second half it is three times that of the first.
     assert second["bias_pct"] == pytest.approx(3 * first["bias_pct"], rel=0.15)
 

@@ -6,8 +6,8 @@
 
 as in Plett, Battery Management Systems II, 2015, chapter 3. It is tuned as carefully as ours: the same cell file with
 all its tables, the same parameters at the mean SoC, the same noise (the model error as correlated processes), the same
-first belief. What it does not have is what makes the difference between the filters: it takes the OCV curve for its
-tangent line, whatever its own uncertainty, and believes every voltage.
+first belief, the same gate and recovery. Without these two it was measured to do worse (weighted error on the Panasonic
+recordings 6.2 % instead of 3.9 %). The difference is that it takes the OCV curve for its tangent line.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 SOC_STEPS = 400  # of the tables, evenly over 0..1
 TEMPERATURE_STEP_K = 2.5
 VOLTAGE_ERROR_S = 1.0  # the interval that [noise] of a cell file is derived at: faster readings are each worth less
-SOC_BEYOND = 0.1  # SoC is stopped so far beyond 0..1
+FORGOTTEN_SIGMA = 0.5  # of SoC, once voltages have been refused for as long as `Tuning` allows
 R0, R0_CHARGE, KNEE, RC1 = range(4)  # columns of the tables; pairs of r_j, tau_j follow from RC1, then hysteresis
 
 
@@ -54,6 +54,8 @@ class Model(NamedTuple):
     soc_walk_offset: float  # growth of SoC's variance, 1/s
     soc_walk_gain: float  # and 1/(s A^2)
     initial_load_sigma_A: float
+    gate_sigmas: float
+    reject_s: float
 
 
 def model_of(cell: CellParams, tuning: Tuning) -> Model:
@@ -89,6 +91,8 @@ def model_of(cell: CellParams, tuning: Tuning) -> Model:
         soc_walk_offset=(offset_A / charge_As) ** 2 * tuning.current_error_horizon_s,
         soc_walk_gain=(tuning.current_gain_sigma / charge_As) ** 2 * tuning.current_error_horizon_s,
         initial_load_sigma_A=limits.capacity_Ah / 5 if load_A is None else load_A,
+        gate_sigmas=tuning.gate_sigmas,
+        reject_s=tuning.reject_s,
     )
 
 
@@ -126,8 +130,8 @@ def _run(
 ) -> None:
     n = 1 + m.n_rc + m.hysteresis
     x, F, q = np.zeros(n), np.ones(n), np.zeros(n)
-    P, H, K, at = np.zeros((n, n)), np.full(n, -1.0), np.zeros(n), np.zeros(m.dynamics.shape[2])
-    core_K, since_s = 0.0, VOLTAGE_ERROR_S
+    P, H, PH, at = np.zeros((n, n)), np.full(n, -1.0), np.zeros(n), np.zeros(m.dynamics.shape[2])
+    core_K, since_s, refused_s = 0.0, VOLTAGE_ERROR_S, 0.0
     for k in range(step_s.size):
         dt, i, T = step_s[k], current_A[k], temperature_degC[k] + core_K
         efficiency = m.charge_efficiency if i < 0.0 else 1.0
@@ -144,9 +148,17 @@ def _run(
             out_innovation[k] = voltage_V[k] - out_predicted[k]
             R = m.voltage_var_V2 + (m.r0_rel_sigma * drop) ** 2
             R *= VOLTAGE_ERROR_S / min(max(since_s, 1e-6), VOLTAGE_ERROR_S)
-            out_nis[k] = out_innovation[k] ** 2 / _measurement_update(out_innovation[k], H, R, x, P, K)
-            since_s = 0.0
-        x[0] = min(max(x[0], -SOC_BEYOND), 1.0 + SOC_BEYOND)
+            S = _innovation_variance(H, R, P, PH)
+            out_nis[k] = out_innovation[k] ** 2 / S
+            refused_s += dt
+            if out_nis[k] <= m.gate_sigmas**2:
+                _measurement_update(out_innovation[k], S, x, P, PH)
+                since_s = refused_s = 0.0
+            elif refused_s >= m.reject_s:
+                P[0, :] = P[:, 0] = 0.0
+                P[0, 0] = FORGOTTEN_SIGMA**2
+                refused_s = 0.0
+        # SoC is not held within 0..1: correlated voltages would go on taking what it may not, and run away.
         out_soc[k], out_sigma[k] = x[0], np.sqrt(P[0, 0])
 
 
@@ -188,20 +200,23 @@ def _time_update(
 
 
 @njit(cache=True)
-def _measurement_update(innovation: float, H: Array, R: float, x: Array, P: Array, K: Array) -> float:
-    """Fuse an innovation and return its variance S. `K` is scratch for P H; P - P H (P H)^T / S stays symmetric."""
-    n = x.size
+def _innovation_variance(H: Array, R: float, P: Array, PH: Array) -> float:
+    """S = H P H^T + R; writes P H^T to `PH`."""
     S = R
-    for row in range(n):
-        K[row] = 0.0
-        for column in range(n):
-            K[row] += P[row, column] * H[column]
-        S += H[row] * K[row]
-    for row in range(n):
-        x[row] += K[row] / S * innovation
-        for column in range(n):
-            P[row, column] -= K[row] * K[column] / S
+    for row in range(H.size):
+        PH[row] = 0.0
+        for column in range(H.size):
+            PH[row] += P[row, column] * H[column]
+        S += H[row] * PH[row]
     return S
+
+
+@njit(cache=True)
+def _measurement_update(innovation: float, S: float, x: Array, P: Array, PH: Array) -> None:
+    for row in range(x.size):
+        x[row] += PH[row] / S * innovation
+        for column in range(x.size):
+            P[row, column] -= PH[row] * PH[column] / S
 
 
 @njit(cache=True)

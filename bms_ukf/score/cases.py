@@ -24,6 +24,7 @@ TAKEN_FOR = 1.0  # the SoC that the benchmark's models take every start for
 PAD_S = 3600  # of the first sample, before a recording that is cut: not scored
 STANDSTILL_RATE_PER_H = 0.02  # a current that empties the cell in no less than 50 h: a pad of it moves 2 %
 NEAR = 0.05  # of SoC: no standstill nearer to a level than this, no case
+LEAST_S = 300.0  # of rows that count after a cut: no fewer, or no case
 
 
 @dataclass(slots=True, frozen=True)
@@ -58,12 +59,14 @@ def of(recorded: Recorded, capacity_Ah: float, sigma: float) -> Iterator[Case]:
     for level in LEVELS:
         yield Case(STARTUP, level, signals, reference, Told(level, sigma))
         row = _standstill(recorded, level, capacity_Ah)
-        if row is not None:
+        if row is not None and np.isfinite(reference[row:]).sum() >= LEAST_S / STEP_S:
             yield _cut(recorded, row, level, reference, sigma)
 
 
 def _standstill(recorded: Recorded, level: float, capacity_Ah: float) -> int | None:
-    """The row at rest whose SoC is nearest to `level`: a pad of a sample under load would move charge."""
+    """The row nearest to `level` in SoC that is at rest, if the recording crosses it: a pad under load moves charge."""
+    if not np.nanmin(recorded.soc_ref) <= level <= np.nanmax(recorded.soc_ref):
+        return None
     still = np.abs(recorded.signals.current_A) <= STANDSTILL_RATE_PER_H * capacity_Ah
     usable = still & np.isfinite(recorded.signals.voltage_V) & np.isfinite(recorded.soc_ref)
     away = np.where(usable, np.abs(recorded.soc_ref - level), np.inf)

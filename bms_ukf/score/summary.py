@@ -4,7 +4,7 @@
 |---|---|
 | `manifest`, `cell`, `capacity_Ah` | what was scored |
 | `weights` | of each group that the recordings fill, renormalised to a sum of 1 |
-| `missing` | what of the benchmark they do not fill |
+| `missing` | what of the benchmark they do not fill; an initial SoC needs a standstill near it and some minutes after |
 | `offsets_c_rate` | each current offset, A, as a share of the capacity per hour |
 | `estimators` | by name (`srukf`: ours, `ekf`, `coulomb`), see below |
 | `outcomes` | every run: `estimator, recording, role, group, temperature_degC, use, kind, value, case`, and `figures` |
@@ -64,11 +64,9 @@ def _estimator(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 def _missing(filled: dict[str, list[Outcome]], recordings: Sequence[Recorded]) -> list[str]:
     missing = [name for name in weights.WEIGHTS if name not in filled]
     cut = {(outcome.recording, outcome.value) for outcome in filled.get("initial SoC", [])}
-    missing += [
-        f"initial SoC {level:g} of {recorded.name}: no standstill near it"
-        for recorded in recordings
-        if recorded.test.role == "drive"
-        for level in cases.LEVELS
-        if (recorded.name, level) not in cut
-    ]
+    for level in cases.LEVELS:
+        drives = [recorded.name for recorded in recordings if recorded.test.role == "drive"]
+        uncut = [name for name in drives if (name, level) not in cut]
+        if uncut:
+            missing.append(f"initial SoC {level:g} ({', '.join(uncut)})")
     return missing
