@@ -257,6 +257,16 @@ def test_a_part_of_a_file_is_estimated_from_its_start_and_counted_where_it_lies(
     assert second["bias_pct"] == pytest.approx(3 * first["bias_pct"], rel=0.15)
 
 
+def test_files_of_one_name_in_two_folders_are_told_apart(data: Path, bms_ukf) -> None:
+    for folder, source in (("25", "warm.csv"), ("0", "cold.csv")):
+        (data / folder).mkdir()
+        (data / folder / "drive.csv").write_bytes((data / source).read_bytes())
+    path = manifest(data, listed("25/drive.csv"), listed("0/drive.csv", temperature=0.0))
+    assert bms_ukf("score", path, "--cell", "lgm50_chen2020", "--json", data / "f.json").code == 0
+    summary = json.loads((data / "f.json").read_text())
+    assert {found["recording"] for found in summary["outcomes"]} == {"25/drive.csv", "0/drive.csv"}
+
+
 @pytest.mark.parametrize(("gate", "code"), [("weighted_rmse_pct=99", 0), ("weighted_rmse_pct=0.001", 1)])
 def test_a_gate_decides_the_exit_code(bms_ukf, data: Path, gate: str, code: int) -> None:
     path = manifest(data, listed("charge.csv", role="charge"))

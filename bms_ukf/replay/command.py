@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from bms_ukf import toml
 from bms_ukf.cell import CellParams
-from bms_ukf.config import Config
 from bms_ukf.errors import ConfigError
 from bms_ukf.replay import batch, view
 from bms_ukf.replay.rerun import Options
@@ -44,7 +42,7 @@ def replay(
     several = len(found) > 1 or any(path.is_dir() for path in given)
     loaded = CellParams.load(cell)
     other = None if diff is None else CellParams.load(diff)
-    tuning = Tuning() if config is None else toml.load(config, Config).estimator
+    tuning = Tuning() if config is None else _tuning(config)
     suffixes = (".csv", ".json", ".html")
     targets = [
         batch.places(place, suffix, found, several=several) for place, suffix in zip(places, suffixes, strict=True)
@@ -60,3 +58,10 @@ def replay(
             status.update(f"replay: {len(done)} of {len(jobs)}")
     view.show(done, Console())
     return [result.mistake for result in done if result.mistake is not None]
+
+
+def _tuning(config: Path) -> Tuning:
+    from bms_ukf import toml
+    from bms_ukf.config import Config  # brings cantools, which only this option needs
+
+    return toml.load(config, Config).estimator

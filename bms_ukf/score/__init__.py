@@ -6,6 +6,7 @@ result.summary["estimators"]["srukf"]["weighted_rmse_pct"]
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +44,8 @@ def score(
 ) -> Score:
     """Run every case of every `drive` and `charge` test of the manifest at `path` that was not fitted.
 
-    Fitted ones are run in their nominal case only and reported apart. Raises ConfigError for data that cannot be used.
+    Fitted ones that have a reference are run in their nominal case only and reported apart. `tuning` is for all
+    estimators. Raises ConfigError for data that cannot be used.
     """
     tests = Manifest.load(path)
     scored = [test for test in tests.test if test.role in recorded.SCORED_ROLES]
@@ -51,6 +53,7 @@ def score(
         expected = 'at least one test of role "drive" or "charge" with use = "validate"'
         raise ConfigError(path, key="test", expected=expected)
     sensors = tuning or Tuning()
+    files = Counter(Path(file).name for file in {test.file for test in scored})
     runners = {name: prepare(name, cell, sensors) for name in estimators}
     outcomes: list[Outcome] = []
     held_out: list[Recorded] = []
@@ -60,17 +63,18 @@ def score(
         recording = recorded.load(path, tests, test)
         if test.use == "fit" and recording.soc_ref is None:
             continue
-        loaded = recorded.sample(recording, test)
+        name = recording.name if files[Path(test.file).name] == 1 else test.file
+        loaded = recorded.sample(recording, test, name)
         if test.use == "validate":
             held_out.append(loaded)
         for case in cases.of(loaded, cell.cell.capacity_Ah, sensors.initial_soc_sigma):
             if test.use == "fit" and case.kind != cases.NOMINAL:
                 continue
-            for name, run in runners.items():
+            for estimator, run in runners.items():
                 columns = run(case.signals, case.told)
-                outcomes.append(_outcome(name, loaded, case, columns))
+                outcomes.append(_outcome(estimator, loaded, case, columns))
                 if case.kind == cases.NOMINAL and test.use == "validate":
-                    nominal[loaded.name, name] = columns
+                    nominal[loaded.name, estimator] = columns
     return Score(summarise(path, cell, held_out, outcomes), held_out, nominal)
 
 

@@ -25,7 +25,7 @@ class Recorded:
     """One test at 1 Hz; arrays of shape (n,)."""
 
     test: MeasuredTest
-    name: str  # of the file, and the part of it that counts
+    name: str  # of the recording, and the part of it that counts
     signals: Signals
     soc_ref: Array
     counted: NDArray[np.bool_]  # rows of the test's `part`
@@ -55,7 +55,7 @@ def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
     return recording.rows(slice(max(int(np.argmax(loaded)) - 1, 0), None))
 
 
-def sample(recording: Recording, test: MeasuredTest) -> Recorded:
+def sample(recording: Recording, test: MeasuredTest, name: str) -> Recorded:
     """The recording at 1 Hz. It has to have a reference SoC."""
     first, last = (np.array(test.part) * (recording.time_s.size - 1)).round().astype(np.int64)
     begin_s, end_s = recording.time_s[[first, last]]
@@ -64,4 +64,4 @@ def sample(recording: Recording, test: MeasuredTest) -> Recorded:
         raise ConfigError(test.file, key="soc_ref", expected="this column: there is nothing to score against")
     part = "" if test.part == [0.0, 1.0] else " {:.0f}-{:.0f} %".format(*(100 * edge for edge in test.part))
     counted = (even.time_s >= begin_s) & (even.time_s <= end_s)
-    return Recorded(test, recording.name + part, Signals.of(even), even.soc_ref, counted)
+    return Recorded(test, name + part, Signals.of(even), even.soc_ref, counted)
