@@ -129,6 +129,95 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
         write_report(report, found)
 
 
+@cli.command("replay")
+@click.argument("inputs", type=PATH, nargs=-1, required=True)
+@click.option("--cell", required=True, help="A cell file, or the name of a shipped one.")
+@click.option("--config", type=PATH, help="Take the [estimator] section of a CONFIG.toml.")
+@click.option("--current-positive", type=click.Choice(["charge", "discharge"]), required=True, help="Sign in the file.")
+@click.option("--initial-soc", type=click.FloatRange(0, 1), help="Default: from the first voltage.")
+@click.option("--initial-sigma", type=click.FloatRange(0, 0.5, min_open=True), help="Its standard deviation.")
+@click.option("--current-offset", "current_offset_A", default=0.0, help="Add to the current, A; positive = discharge.")
+@click.option("--current-gain", default=1.0, help="Multiply the current by it.")
+@click.option("--voltage-offset", "voltage_offset_V", default=0.0, help="Add to the voltage, V.")
+@click.option("--resample", "resample_s", type=click.FloatRange(0, min_open=True), help="Rows so far apart, s.")
+@click.option("--voltage-lag", "voltage_lag_s", default=0.0, help="How far the voltage lags the current, s.")
+@click.option("--temperature", "temperature_degC", type=float, help="For a recording without one, degC.")
+@click.option("--soc-ref-sigma", type=click.FloatRange(0, 0.5), default=0.0, help="Of the file's own reference.")
+@click.option("--estimator", type=click.Choice(["srukf", "ekf", "coulomb"]), default="srukf", show_default=True)
+@click.option("--out", type=PATH, help="Write the estimates here, as CSV.")
+@click.option("--json", "json_path", type=PATH, help="Write the summary here.")
+@click.option("--report", type=PATH, help="Write a page with plots here.")
+@click.option("--diff", metavar="CELL2", help="Run another cell file, too, and compare.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Recordings run at a time.")
+def replay_(
+    inputs: tuple[Path, ...],
+    cell: str,
+    config: Path | None,
+    out: Path | None,
+    json_path: Path | None,
+    report: Path | None,
+    diff: str | None,
+    jobs: int,
+    **options: Any,
+) -> None:
+    """Re-run the estimator over recordings: files, or folders of them.
+
+    With several, --out, --json and --report name folders.
+    """
+    from bms_ukf.replay import command
+
+    places = command.Places(out, json_path, report)
+    mistakes = command.replay(inputs, cell, config, places, diff, jobs, options)
+    if mistakes:
+        for mistake in mistakes:
+            click.echo(f"bms-ukf: {mistake}", err=True)
+        sys.exit(2)
+
+
+@cli.command("score")
+@click.argument("manifest", type=PATH)
+@click.option("--cell", required=True, help="A cell file, or the name of a shipped one.")
+@click.option("--gate", "gates", multiple=True, metavar="NAME=LIMIT", help="Exit 1 above it: weighted_rmse_pct=2.5")
+@click.option("--json", "json_path", type=PATH, callback=_writable, help="Write all figures here.")
+@click.option("--report", type=PATH, help="Write a page with plots here, or plots and page into this folder.")
+def score_(manifest: Path, cell: str, gates: tuple[str, ...], json_path: Path | None, report: Path | None) -> None:
+    """Score the estimator over the tests of a MANIFEST that were not fitted, as the blind SoC benchmark does."""
+    from rich.console import Console
+
+    from bms_ukf import score
+    from bms_ukf.cell import CellParams
+    from bms_ukf.report.score import write_report
+    from bms_ukf.score import gate, view
+
+    limits = [gate.parse(text) for text in gates]
+    loaded = CellParams.load(cell)
+    with Console(stderr=True).status("score") as status:
+        found = score.score(manifest, loaded, progress=status.update)
+    view.show(found.summary, Console())
+    if json_path is not None:
+        _write_json(json_path, found.summary)
+    if report is not None:
+        write_report(report, found)
+    verdicts = [verdict for name, limit in limits if (verdict := gate.verdict(found.summary, name, limit))]
+    if verdicts:
+        raise BmsError("; ".join(verdicts))
+
+
+@cli.group()
+def export() -> None:
+    """Package the estimator for use elsewhere."""
+
+
+@export.command("benchmark")
+@click.argument("cell")
+@click.option("--out", type=PATH, required=True, help="Folder to write.")
+def export_benchmark(cell: str, out: Path) -> None:
+    """Write a CELL's entry for the blind SoC benchmark: a folder with its Model.py."""
+    from bms_ukf import benchmark_entry
+
+    click.echo(benchmark_entry.package(cell, out))
+
+
 def _write_json(path: Path, data: dict[str, Any]) -> None:
     try:
         path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -10,6 +10,7 @@
 | `soc_ref` | true or reference SoC, 0..1 |
 | `current_A`, `voltage_V`, `temperature_degC` | what the estimator got; positive = discharge |
 | `current_true_A`, `voltage_true_V`, `temperature_true_degC` | what the plant gave, before the sensors |
+| `current_bias_A`, `r0_ohm`, `soh` | what the estimator has learnt of the sensor and the cell, where it does |
 
 In a CSV a missing value is an empty field, and a column from `soc_ref` on is left out when all of it is missing.
 """
@@ -18,8 +19,10 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +39,12 @@ _OPTIONAL = (
     "current_true_A",
     "voltage_true_V",
     "temperature_true_degC",
+    "current_bias_A",
+    "r0_ohm",
+    "soh",
 )
 _NUMBERS = _ESTIMATED + _OPTIONAL
+_APPENDED = _NUMBERS.index("current_bias_A") + 1
 _UNKNOWN = Sample(0)
 
 
@@ -52,6 +59,18 @@ class Trace:
         self._t_ns = np.empty(capacity, dtype=np.int64)
         self._numbers = np.full((capacity, len(_NUMBERS)), NAN)
         self._words = np.empty((capacity, 2), dtype=np.int64)
+
+    @classmethod
+    def of(cls, t_ns: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> Trace:
+        """A whole run at once: `status`, `faults` and whatever number columns there are; others are ignored."""
+        trace = cls(t_ns.size)
+        trace._n = t_ns.size
+        trace._t_ns[:] = t_ns
+        trace._words[:, 0], trace._words[:, 1] = columns["status"], columns["faults"]
+        for j, name in enumerate(_NUMBERS):
+            if name in columns:
+                trace._numbers[:, j] = columns[name]
+        return trace
 
     def __len__(self) -> int:
         return self._n
@@ -79,7 +98,7 @@ class Trace:
         """Add a row stamped by `sample`. `true` holds the plant's own values. Raises IndexError beyond the capacity."""
         row = self._n
         self._t_ns[row] = sample.t_ns
-        self._numbers[row] = (
+        self._numbers[row, :_APPENDED] = (
             estimate.soc,
             estimate.soc_sigma,
             estimate.voltage_pred_V,
@@ -92,6 +111,7 @@ class Trace:
             true.current_A,
             true.voltage_V,
             true.temperature_degC,
+            estimate.current_bias_A,
         )
         self._words[row] = estimate.status, estimate.faults
         self._n = row + 1

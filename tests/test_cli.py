@@ -11,7 +11,7 @@ import sys
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
@@ -49,35 +49,6 @@ current_positive = "charge"
 cell_voltage = ["{voltage}"]
 temperature = ["CellStatus.Temperature"]
 """
-
-
-class Ended(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-    @property
-    def line(self) -> str:
-        """The one line on stderr that a user's mistake may cost."""
-        assert self.code == 2
-        assert self.err.startswith("bms-ukf: ")
-        assert self.err.count("\n") == 1, self.err
-        return self.err
-
-
-@pytest.fixture
-def bms_ukf(monkeypatch, capsys):
-    """Runs the command in this process."""
-
-    def run(*arguments: str | Path) -> Ended:
-        monkeypatch.setattr(sys, "argv", ["bms-ukf", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        code = ended.value.code
-        assert isinstance(code, int)
-        return Ended(code, *capsys.readouterr())
-
-    return run
 
 
 @pytest.fixture

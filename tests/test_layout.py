@@ -34,13 +34,16 @@ MAY_IMPORT = {
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
     "manifest": {"cell", "errors", "toml"},
+    "offline": {"cell", "estimator", "offline", "recordings", "records", "tuning"},
+    "score": {"cell", "errors", "manifest", "metrics", "offline", "recordings", "score", "tuning"},
+    "benchmark_entry": {"cell", "errors", "estimator", "records", "resources", "tuning"},
     "identify": {"cell", "errors", "identify", "manifest", "pchip", "recordings", "toml"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {
-    "numba": {"identify", "kernel"},
+    "numba": {"identify", "kernel", "offline"},
     "pyarrow": {"recordings"},
     "llvmlite": {"kernel"},
     "fmpy": {"fmu", "plant"},

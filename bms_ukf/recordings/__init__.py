@@ -1,6 +1,7 @@
 """Measured tests of a cell, from cycler files: read, checked and brought to the project's sign and units."""
 
 from bms_ukf.recordings.checks import estimate_voltage_lag_s, require_sign
-from bms_ukf.recordings.recording import Recording, read
+from bms_ukf.recordings.recording import Recording, Sign, read
+from bms_ukf.recordings.resample import resample
 
-__all__ = ["Recording", "estimate_voltage_lag_s", "read", "require_sign"]
+__all__ = ["Recording", "Sign", "estimate_voltage_lag_s", "read", "require_sign", "resample"]

@@ -5,13 +5,12 @@ Importing this does not import matplotlib; writing a report does.
 
 from __future__ import annotations
 
-import platform
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bms_ukf import metrics
-from bms_ukf.report.page import write_page
+from bms_ukf.report.page import machine, write_page
 from bms_ukf.trace import Trace
 
 if TYPE_CHECKING:
@@ -32,37 +31,47 @@ _FIGURES = (
 # What the page says of the run, as far as the summary holds it.
 _PROVENANCE = (
     ("Scenario", "scenario", "{}"),
+    ("Recording", "recording", "{}"),
     ("Cell file", "cell", "{}"),
+    ("Compared with", "compared", "{}"),
+    ("Estimator", "estimator", "{}"),
     ("Plant", "plant", "{}"),
     ("Bus", "bus", "{}"),
     ("Sensor seed", "seed", "{}"),
-    ("Simulated time", "duration_s", "{:.0f} s"),
+    ("Length", "duration_s", "{:.0f} s"),
     ("Wall time", "wall_s", "{:.1f} s"),
     ("Speed", "realtime_factor", "{:.0f} times real time"),
 )
 
 
-def write_report(target: Path, trace: Trace, summary: dict[str, Any], *, title: str) -> Path:
+def write_report(
+    target: Path,
+    trace: Trace,
+    summary: dict[str, Any],
+    *,
+    title: str,
+    judged: bool = True,
+    more: Sequence[tuple[Plot, bytes]] = (),
+) -> Path:
     """Write the page `target` if it ends in .html, else `report.html` and the plots as PNG into the folder `target`.
 
+    `judged`: hold the figures against the project's goals for its demo. `more`: plots beside those of the trace.
     Returns the page's path. `summary` holds `metrics.score` of the trace and whatever of `_PROVENANCE` there is to say.
     Raises ConfigError if the place cannot be written.
     """
-    scored = summary["n_scored"] > 0
-    late = summary["after_600s"]
-    figures = [
-        (name, _text(summary[key], factor, form), _text(late[key], factor, form))
-        for name, key, factor, form in _FIGURES
-    ]
+    scored = summary.get("n_scored", 0) > 0
+    figures = _FIGURES if scored else ()
     return write_page(
         target,
         "page.html.j2",
-        _plots(trace),
+        [*_plots(trace), *more],
         title=title,
-        checks=metrics.judge(summary) if scored else [],
-        figures=figures if scored else [],
-        provenance=[(name, form.format(summary[key])) for name, key, form in _PROVENANCE if key in summary]
-        + [("Versions", _versions()), ("Machine", f"{platform.system()} {platform.machine()}")],
+        checks=metrics.judge(summary) if scored and judged else [],
+        figures=[
+            (name, _text(summary[key], factor, form), _text(summary["after_600s"][key], factor, form))
+            for name, key, factor, form in figures
+        ],
+        provenance=[(name, form.format(summary[key])) for name, key, form in _PROVENANCE if key in summary] + machine(),
     )
 
 
@@ -74,14 +83,3 @@ def _plots(trace: Trace) -> list[tuple[Plot, bytes]]:
 
 def _text(figure: float | None, factor: float, form: str) -> str:
     return "–" if figure is None else form.format(factor * figure)
-
-
-def _versions() -> str:
-    """Of this package and what its numbers depend on."""
-    installed = []
-    for name in ("bms-ukf", "numpy", "numba"):
-        try:
-            installed.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            installed.append(f"{name} (not installed as a package)")
-    return ", ".join([*installed, f"Python {platform.python_version()}"])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import platform
 from base64 import b64encode
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -37,3 +39,19 @@ def write_page(target: Path, template: str, plots: Sequence[tuple[Named, bytes]]
     except OSError as error:
         raise ConfigError(target, expected=f"a place that can be written ({error.strerror})") from None
     return page
+
+
+def machine() -> list[tuple[str, str]]:
+    """What the numbers of a page depend on beside its data, to end its provenance with."""
+    return [("Versions", _versions()), ("Machine", f"{platform.system()} {platform.machine()}")]
+
+
+def _versions() -> str:
+    """Of this package and what its numbers depend on."""
+    installed = []
+    for name in ("bms-ukf", "numpy", "numba"):
+        try:
+            installed.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            installed.append(f"{name} (not installed as a package)")
+    return ", ".join([*installed, f"Python {platform.python_version()}"])

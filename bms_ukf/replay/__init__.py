@@ -1,0 +1,1 @@
+"""`bms-ukf replay`: recordings re-run through an estimator."""

@@ -1,0 +1,67 @@
+"""`bms-ukf replay`: from what the user gave to jobs, and what came of them to the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from bms_ukf.cell import CellParams
+from bms_ukf.errors import ConfigError
+from bms_ukf.replay import batch, view
+from bms_ukf.replay.rerun import Options
+from bms_ukf.tuning import Tuning
+
+
+class Places(NamedTuple):
+    """Files for one recording, folders for several; None: not wanted."""
+
+    out: Path | None
+    json: Path | None
+    report: Path | None
+
+
+def replay(
+    given: Sequence[Path],
+    cell: str,
+    config: Path | None,
+    places: Places,
+    diff: str | None,
+    workers: int,
+    options: dict[str, Any],
+) -> list[str]:
+    """Run all recordings, show what came of them and return the line of each that could not be run.
+
+    Raises ConfigError for what is wrong whatever the recording.
+    """
+    if options["initial_sigma"] is not None and options["initial_soc"] is None:
+        raise ConfigError("--initial-sigma", value=options["initial_sigma"], expected="--initial-soc beside it")
+    found = batch.recordings(given)
+    several = len(found) > 1 or any(path.is_dir() for path in given)
+    loaded = CellParams.load(cell)
+    other = None if diff is None else CellParams.load(diff)
+    tuning = Tuning() if config is None else _tuning(config)
+    suffixes = (".csv", ".json", ".html")
+    targets = [
+        batch.places(place, suffix, found, several=several) for place, suffix in zip(places, suffixes, strict=True)
+    ]
+    jobs = [
+        batch.Job(path, loaded, other, Options(**options), tuning, *target)
+        for path, *target in zip(found, *targets, strict=True)
+    ]
+    done = []
+    with Console(stderr=True).status("replay") as status:
+        for result in batch.run(jobs, workers):
+            done.append(result)
+            status.update(f"replay: {len(done)} of {len(jobs)}")
+    view.show(done, Console())
+    return [result.mistake for result in done if result.mistake is not None]
+
+
+def _tuning(config: Path) -> Tuning:
+    from bms_ukf import toml
+    from bms_ukf.config import Config  # brings cantools, which only this option needs
+
+    return toml.load(config, Config).estimator

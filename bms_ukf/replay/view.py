@@ -1,0 +1,50 @@
+"""What came of a replay, on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bms_ukf.replay.batch import Done
+
+HEADER = ("recording", "cell", "rows", "SoC at the end", "RMSE", "max", "in band", "settled", "steps/s")
+
+
+def show(done: Sequence[Done], console: Console) -> None:
+    """A row for each recording, two where cell files are compared; then what was doubtful."""
+    table = Table(box=None, header_style="dim")
+    for column, name in enumerate(HEADER):
+        table.add_column(name, justify="right" if column > 1 else "left")
+    for summary in (found.summary for found in done if found.summary is not None):
+        table.add_row(*_row(summary))
+        if "diff" in summary:
+            table.add_row(*_row(summary["diff"]))
+            apart = summary["diff"]["from_first"]
+            shown = (
+                ("–", "–") if apart["rms_pct"] is None else (f"{apart['rms_pct']:.2f} %", f"{apart['max_pct']:.2f} %")
+            )
+            table.add_row("", "difference", "", "", *shown, style="dim")
+    if table.row_count:
+        console.print(table)
+    for found in done:
+        for warning in [] if found.summary is None else found.summary["warnings"]:
+            console.print(f"warning: {warning}", style="yellow", highlight=False)
+
+
+def _row(summary: dict[str, Any]) -> list[str]:
+    soc, sigma = summary["final_soc"], summary["soc_sigma_final"]
+    end = "not available" if soc is None else f"{100 * soc:.1f} ± {100 * sigma:.1f} %"
+    figures = ["–"] * 4
+    if summary.get("rmse_pct") is not None:
+        settled = summary["settled_s"]
+        figures = [
+            f"{summary['rmse_pct']:.2f} %",
+            f"{summary['max_pct']:.2f} %",
+            f"{100 * summary['coverage95']:.0f} %",
+            "never" if settled is None else f"{settled:.0f} s",
+        ]
+    speed = f"{summary['steps_per_s']:.3g}"
+    return [summary["recording"], summary["cell"], str(summary["n"]), end, *figures, speed]
