@@ -42,6 +42,11 @@ class Signals:
     def t_ns(self) -> NDArray[np.int64]:
         return np.round(self.time_s * 1e9).astype(np.int64)
 
+    def since(self, row: int) -> Signals:
+        """From a row on."""
+        kept = slice(row, None)
+        return Signals(self.time_s[kept], self.current_A[kept], self.voltage_V[kept], self.temperature_degC[kept])
+
     def with_errors(
         self, current_offset_A: float = 0.0, current_gain: float = 1.0, voltage_offset_V: float = 0.0
     ) -> Signals:

@@ -67,7 +67,7 @@ def score(
         loaded = recorded.sample(recording, test, name)
         if test.use == "validate":
             held_out.append(loaded)
-        for case in cases.of(loaded, cell.cell.capacity_Ah, sensors.initial_soc_sigma):
+        for case in cases.of(loaded, sensors.initial_soc_sigma):
             if test.use == "fit" and case.kind != cases.NOMINAL:
                 continue
             for estimator, run in runners.items():
@@ -79,14 +79,9 @@ def score(
 
 
 def _outcome(estimator: str, loaded: Recorded, case: Case, columns: Columns) -> Outcome:
-    test, kept = loaded.test, slice(case.pad, None)
-    figures = metrics.score(
-        case.signals.time_s[kept],
-        columns["soc"][kept],
-        columns["soc_sigma"][kept],
-        case.soc_ref[kept],
-        test.soc_ref_sigma,
-    )
+    test = loaded.test
+    soc, sigma = columns["soc"], columns["soc_sigma"]
+    figures = metrics.score(case.signals.time_s, soc, sigma, case.soc_ref, test.soc_ref_sigma)
     return Outcome(
         estimator,
         loaded.name,
