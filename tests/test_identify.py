@@ -348,5 +348,6 @@ def test_open_loop_of_a_shipped_cell_rests_at_its_ocv() -> None:
         np.full(n, 25.0),
         np.linspace(1, 0, n),
         np.ones(n, dtype=bool),
+        np.zeros(n, dtype=bool),
     )
     np.testing.assert_allclose(openloop.predict(cell, test).predicted_V, cell.ocv_V(test.soc, 25.0), atol=1e-12)

@@ -17,7 +17,7 @@ CELLS = Path(__file__).resolve().parents[1] / "models" / "cells"
 
 # Open-loop voltage error on tests never fitted, 10 to 90 % SoC: mean over the tests of a temperature, mV.
 GATES_MV = {
-    "panasonic_ncr18650pf": {25: 15, 10: 22, 0: 50, -10: 70},
+    "panasonic_ncr18650pf": {25: 15, 10: 22, 0: 40, -10: 58},
     "a123_lfp": {45: 12, 25: 8, 5: 12, -15: 25},
 }
 

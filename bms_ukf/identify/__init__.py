@@ -83,7 +83,7 @@ def load(
     for test, recording in moving:
         soc = samples.counted_soc(recording, test, slow.capacity_Ah, efficiency)
         warnings += warn.about_count(recording, test, soc, str(path))
-        chosen[test.use].append(samples.sample(recording, test, soc))
+        chosen[test.use].append(samples.sample(recording, test, soc, tests.voltage_limits_V[0]))
     return slow, chosen, efficiency, warnings
 
 

@@ -269,7 +269,7 @@ def _alternate(tests: Sequence[Samples], phase: int) -> list[Samples]:
 def _weights(model: Model, test: Samples, stride: int) -> Array:
     """What every stride-th row's error in mV weighs; a test's squares sum to its `ROWS` on a flat OCV."""
     _, slope = model.ocv(np.zeros(test.soc.size, dtype=np.int64), test.soc)
-    weight = test.counted / np.hypot(1.0, SOC_ERROR * slope / 0.01)
+    weight = (test.counted & ~test.exhausted) / np.hypot(1.0, SOC_ERROR * slope / 0.01)
     kept = weight[::stride]
     first, last = test.test.part
     count = max(int(np.count_nonzero(test.counted[::stride])), 1)

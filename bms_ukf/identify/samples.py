@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 STEP_S = 1.0  # rows of a moving current
 LONGEST_STEP_S = 30.0  # rows of a current that has long stood still
 MOVED = 0.01  # share of the largest current that counts as a change of it
+AT_LIMIT_V = 0.01  # above the lower voltage limit: the cycler holds it there, and the current follows
 
 
 @dataclass(slots=True)
@@ -37,6 +38,7 @@ class Samples:
     temperature_degC: Array  # of the surface
     soc: Array
     counted: NDArray[np.bool_]  # rows of the test's `part`
+    exhausted: NDArray[np.bool_]  # at the lower voltage limit, where the current is what the cell still gives
 
     @property
     def time_s(self) -> Array:
@@ -89,8 +91,8 @@ def coulombic_efficiency(recordings: Sequence[tuple[MeasuredTest, Recording]], c
     return min(found)[1] if found else None
 
 
-def sample(recording: Recording, test: MeasuredTest, soc: Array) -> Samples:
-    """Rows of about `STEP_S`, further apart the longer the current has not moved."""
+def sample(recording: Recording, test: MeasuredTest, soc: Array, least_V: float) -> Samples:
+    """Rows of about `STEP_S`, further apart the longer the current has not moved; `least_V` is the lower limit."""
     kept = _thin(recording.time_s, recording.current_A)
     rows = recording.rows(kept)
     first, last = (np.array(test.part) * (recording.time_s.size - 1)).round()
@@ -104,6 +106,7 @@ def sample(recording: Recording, test: MeasuredTest, soc: Array) -> Samples:
         temperature_degC=rows.temperature_degC,
         soc=soc[kept],
         counted=(kept >= first) & (kept <= last),
+        exhausted=rows.voltage_V < least_V + AT_LIMIT_V,
     )
 
 

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Real = NDArray[np.floating[Any]]
 ZERO_CELSIUS_K = 273.15
 
-SOC = np.array([0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+SOC = np.array([0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 OCV_SOC = np.linspace(0, 1, 14)
 ACTIVATION_K = 3000.0  # r ~ exp(ACTIVATION_K / T): about 25 kJ/mol, what cells show between 0 and 40 degC
 
