@@ -18,7 +18,7 @@ import numpy as np
 from bms_ukf import toml
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import cellfile, dynamics, noise, ocv, openloop, samples, warn
+from bms_ukf.identify import cellfile, dynamics, errorbar, noise, ocv, openloop, samples, warn
 from bms_ukf.identify.samples import Samples
 from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
@@ -51,6 +51,11 @@ def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identif
     draft = _loaded(found | {"noise": _draft_noise(model)}, path)
     judged = {use: [openloop.predict(draft, test) for test in group] for use, group in chosen.items()}
     found["noise"] = _noise(judged, model, found)
+    progress("error bar")
+    drafted = _loaded(found, path)
+    drives = [test for test in chosen["validate"] or fitted if test.test.role != "pulse"]
+    factor = errorbar.factor(drafted, drives)
+    found["noise"] |= errorbar.grown(drafted, factor)
     rmse_mV = {
         use: {_label(test): round(1e3 * seen.rmse_V(), 1) for test, seen in zip(group, judged[use], strict=True)}
         for use, group in chosen.items()
@@ -96,7 +101,7 @@ def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], p
 
 def _noise(
     judged: dict[str, list[openloop.Prediction]], model: dynamics.Model, found: dict[str, Any]
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """From tests never fitted; without any, from the fitted ones, enlarged as rows left out of the choice tell."""
     pairs = model.unknowns.structure.pairs
     if judged["validate"]:
@@ -105,6 +110,8 @@ def _noise(
         seen_mV = float(np.nanmean([1e3 * prediction.rmse_V() for prediction in judged["fit"]]))
         left_out_mV = model.held_out_mV[str(model.unknowns.structure)]
         values = noise.estimate(judged["fit"], pairs, factor=max(1.5, left_out_mV / max(seen_mV, 0.1)))
+    seen = [prediction for group in judged.values() for prediction in group]
+    values |= noise.error_map(seen, values, model.unknowns.temperature_degC)
     if "hysteresis" in found:
         values["hysteresis_sigma_V"] = round(max(0.3 * float(np.median(found["hysteresis"]["max_V"])), 5e-4), 4)
     return values

@@ -11,6 +11,8 @@ noise builds up. The squares of the sigmas are the non-negative least-squares so
 each stretch weighted by the <e^2> that the solution itself expects of it (iterated). At last they are scaled to cover
 nine stretches of ten: errors are not spread evenly over a drive, and a filter that is told their mean is too sure where
 they are large. What even the best stretches show is an error of the OCV, made by no current: the slowest pair has it.
+
+Where in SoC and temperature the errors are larger than these sigmas expect, `error_map` has by how much.
 """
 
 from __future__ import annotations
@@ -32,6 +34,9 @@ LAGS = np.array([0, 1, 2, 5, 10, 20, 50, 100, 200, 400])
 HELD = 0.9  # the share of the stretches whose <e^2> the sigmas shall cover
 BEST = 0.2  # the share of the stretches that count as the best
 FLOOR_V = 1e-3  # no voltage model is better than this on a real cell
+MAP_SOC = np.array([0.0, 0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0])
+MAP_ROW_S = 600.0  # of an error that is worth one observation
+MAP_MOST = 8.0
 MOST_V, MOST_REL = 0.3, 0.5  # more says that the tests did not show the thing at all
 
 
@@ -56,6 +61,40 @@ def estimate(predictions: Sequence[Prediction], pairs: int, *, factor: float = 1
     sigmas = np.sqrt(squares)
     sigmas[1 + pairs] = max(sigmas[1 + pairs], float(np.sqrt(np.quantile(b[:, 0], BEST))))
     return _named(sigmas, pairs)
+
+
+def error_map(
+    predictions: Sequence[Prediction], sigmas: dict[str, float], temperature_degC: Sequence[float]
+) -> dict[str, Array]:
+    """By how much the errors of the tests exceed what `sigmas` expect, over SoC and the `temperature_degC` seen.
+
+    Returns `soc, temperature_degC, error_scale` of a cell file's [noise]; the scale is never below 1, and the nearer to
+    1 the less was seen.
+    """
+    rows = np.array(sorted(temperature_degC))
+    times, count = np.zeros((2, rows.size, MAP_SOC.size))
+    for prediction in predictions:
+        places = nearest(rows, prediction.temperature_degC), nearest(MAP_SOC, prediction.soc)
+        weight = prediction.counted * prediction.step_s / MAP_ROW_S
+        np.add.at(times, places, weight * prediction.error_V**2 / _variance(prediction, sigmas))
+        np.add.at(count, places, weight)
+    scale = np.sqrt((times + 1) / (count + 1)).clip(1.0, MAP_MOST).round(2)
+    known = count.sum(axis=1) > 0
+    return {"soc": MAP_SOC, "temperature_degC": rows[known], "error_scale": scale[known]}
+
+
+def nearest(knots: Array, x: Array) -> NDArray[np.intp]:
+    """Index of the knot nearest to each x."""
+    return np.asarray(np.argmin(np.abs(np.asarray(x)[:, None] - knots), axis=1))
+
+
+def _variance(prediction: Prediction, sigmas: dict[str, float]) -> Array:
+    """Of the voltage error at every row, as the estimator expects it, V^2."""
+    variance = sigmas["voltage_sigma_V"] ** 2 + (sigmas["r0_rel_sigma"] * prediction.ohmic_V) ** 2
+    for j, (r, tau) in enumerate(zip(prediction.r_ohm, prediction.tau_s, strict=True)):
+        power = lowpass(prediction.step_s, (r * prediction.current_A) ** 2, float(np.median(tau)) / 2)
+        variance = variance + sigmas[f"v_rc{j + 1}_sigma_V"] ** 2 + sigmas["rc_rel_sigma"] ** 2 * power
+    return np.asarray(variance)
 
 
 def _stretches(prediction: Prediction, pairs: int, factor: float) -> tuple[list[Array], list[Array]]:

@@ -1,0 +1,50 @@
+"""Whether the estimator's error bar is true with an identified cell, and what it takes to make it so.
+
+The noise that explains the voltage errors of a model is not all that its SoC depends on: on a plateau of the OCV an error
+of the curve stays the same for hours, and a filter that takes it for one that changes is too sure of itself. Only the
+estimator itself can tell. So it is run over tests that were not fitted, with the cell file as it will be used, and all
+sigmas grow until its error bar holds the SoC of the tests as often as it says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bms_ukf.cell import CellParams
+from bms_ukf.estimator import Estimator
+from bms_ukf.identify.samples import LONGEST_STEP_S, Samples
+from bms_ukf.tuning import Tuning
+
+TRUE = 0.93  # share of the time that 1.96 sigma shall hold; a Gaussian error would be held 95 %
+FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0)
+
+
+def factor(cell: CellParams, tests: Sequence[Samples]) -> float:
+    """The least factor on the [noise] sigmas by which the error bar is true over the tests together, at most 4."""
+    for candidate in FACTORS:
+        noise = cell.noise.model_copy(update=grown(cell, candidate))
+        if held(cell.model_copy(update={"noise": noise}), tests) >= TRUE:
+            return candidate
+    return FACTORS[-1]
+
+
+def held(cell: CellParams, tests: Sequence[Samples]) -> float:
+    """Share of the counted time at which the estimator's 1.96 sigma hold the SoC of the tests; 1 without any."""
+    inside, whole = 0.0, 0.0
+    tuning = Tuning(current_timeout_s=2 * LONGEST_STEP_S, voltage_timeout_s=2 * LONGEST_STEP_S)
+    for test in tests:
+        t_ns = np.round(test.time_s * 1e9).astype(np.int64)
+        run = Estimator(cell, tuning=tuning).replay(t_ns, test.current_A, test.voltage_V, test.temperature_degC)
+        band = 1.96 * np.hypot(run["soc_sigma"], test.test.soc_ref_sigma)
+        counted = test.counted & np.isfinite(run["soc"])
+        inside += float(np.sum(test.step_s[counted & (np.abs(run["soc"] - test.soc) <= band)]))
+        whole += float(np.sum(test.step_s[counted]))
+    return inside / whole if whole else 1.0
+
+
+def grown(cell: CellParams, times: float) -> dict[str, float]:
+    """The sigmas of the cell's [noise], so many times as large."""
+    sigmas = {key: value for key, value in cell.noise.model_dump().items() if "_sigma" in key and value is not None}
+    return {key: round(min(times * value, 1.9), 5) for key, value in sigmas.items()}
