@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from bms_ukf.cell import CellParams
 from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params
+from bms_ukf.kernel.process import TINY_ROOT
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
 from bms_ukf.records import Estimate, Fault, Sample, Status
 from bms_ukf.tuning import Tuning
@@ -140,6 +141,28 @@ class Estimator:
         self.accepted = accepted
         return estimate
 
+    def sleep(self, off_s: float, t_ns: int) -> None:
+        """Let `off_s` >= 0 s pass with nothing measured and the cell at rest but for `tuning.standby_current_A`.
+
+        For a belief that was stored: polarisation fades, the offset of the current sensor is forgotten, and SoC falls by
+        the standby current and is in doubt by its sigma times the time. Afterwards the time is `t_ns`, of whatever clock
+        the samples to come are stamped by. Without a belief only the time is set. ValueError if `off_s` is below 0.
+        """
+        if not off_s >= 0:
+            raise ValueError(f"off_s is {off_s}; expected at least 0")
+        self.t_ns = t_ns
+        tuning, held = self.tuning, self._params.copy()
+        sigma_A = self.cell.cell.capacity_Ah / 2000 if tuning.standby_sigma_A is None else tuning.standby_sigma_A
+        in_doubt = sigma_A * off_s / float(held[layout.P_CHARGE_COULOMB])
+        self._params[layout.P_CURRENT_TIMEOUT] = np.inf  # the current is known, however long ago it was measured
+        self._params[layout.P_SOC_WALK_OFFSET] = in_doubt**2 / off_s if off_s else 0.0
+        self._io[[layout.IN_VOLTAGE, layout.IN_TEMPERATURE, layout.IN_OFFSET]] = np.nan
+        bias = self._set_bias_aside()  # what flowed is known without the sensor
+        self._code = self._tick(*self._addresses, float(off_s), tuning.standby_current_A)
+        self._params[:] = held
+        self._state[:, layout.H_FRESH] = 1  # the first voltage meets a belief that may be wide
+        self._take_bias_back(bias, math.exp(-off_s / float(held[layout.P_BIAS_TAU])))
+
     def replay(
         self, t_ns: ArrayLike, current_A: ArrayLike, voltage_V: ArrayLike, temperature_degC: ArrayLike
     ) -> dict[str, NDArray[Any]]:
@@ -197,6 +220,27 @@ class Estimator:
         self._state[:] = numbers[: self._state.size].reshape(self._state.shape)
         self._io[:] = numbers[self._state.size :].reshape(self._io.shape)
         self.t_ns, self._code, self.accepted = (t_ns if started else None), code, accepted
+
+    def _set_bias_aside(self) -> NDArray[Any]:
+        """Make the bias 0 and known; returns its mean and variance, shape (2, blocks, lanes)."""
+        m = self._form
+        if not m.bias:
+            return np.empty(0)
+        last, row = m.root - 1, slice(m.carry - m.n, m.carry)
+        aside = np.stack([self._state[:, last], np.sum(self._state[:, row] ** 2, axis=1)])
+        self._state[:, last] = self._state[:, row] = 0.0
+        self._state[:, m.carry - 1] = TINY_ROOT
+        return aside
+
+    def _take_bias_back(self, aside: NDArray[Any], kept: float) -> None:
+        """The share `kept` of the bias is what it was; the rest is as unknown as at the start, and independent."""
+        m = self._form
+        if not m.bias:
+            return
+        unknown = float(self._params[layout.P_BIAS_SIGMA])
+        self._state[:, m.carry - m.n : m.carry] = 0.0
+        self._state[:, m.root - 1] = kept * aside[0]
+        self._state[:, m.carry - 1] = np.sqrt(kept**2 * aside[1] + (1 - kept**2) * unknown**2)
 
     def _params_hash(self) -> bytes:
         return hashlib.sha256(bytes(self._form) + self._params.tobytes()).digest()

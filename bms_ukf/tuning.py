@@ -29,6 +29,10 @@ class Tuning(Section):
     current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one
     voltage_sensor_sigma_V: NonNegative = 0.002
 
+    # What a cell gives while nothing is measured: self-discharge and what stays awake.
+    standby_current_A: NonNegative = 0.0
+    standby_sigma_A: NonNegative | None = None  # None: C/2000
+
     # A current counts for no longer than this, so it must exceed the interval between samples.
     current_timeout_s: Positive = 5.0
     voltage_timeout_s: Positive = 5.0
