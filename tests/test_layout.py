@@ -34,7 +34,9 @@ MAY_IMPORT = {
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
     "manifest": {"cell", "errors", "toml"},
-    "identify": {"cell", "errors", "identify", "manifest", "pchip", "recordings", "toml"},
+    "bpx": {"errors"},
+    "identify": {"bpx", "cell", "errors", "identify", "manifest", "pchip", "recordings", "toml"},
+    "ecm_tables": {"cell", "errors", "identify", "toml"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})

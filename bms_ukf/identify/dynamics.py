@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from bms_ukf.identify import ocv
+from bms_ukf.identify import effective, ocv
 from bms_ukf.identify.ocv_rows import OcvRows
 from bms_ukf.identify.samples import Samples, at
 from bms_ukf.identify.simulate import Place, between, drop, lowpass
@@ -197,8 +197,9 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, 
     )
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
     data = found.fun[: -len(prior)]
-    # Errors of a model are correlated: as many independent ones as blocks would be too few, as rows too many.
-    variance = max(1.0, float(np.sum(data**2)) / max(sum(float(np.sum(w > 0)) for w in weights) / 30, 1.0))
+    blocks = np.split(data, np.cumsum([weight.size for weight in weights])[:-1])
+    independent = sum(effective.rows(block[weight > 0]) for block, weight in zip(blocks, weights, strict=True))
+    variance = max(1.0, float(np.sum(data**2)) / independent)
     sigma = np.sqrt(np.diag(covariance) * variance)
     return Model(unknowns, model.ocv, model.capacity_Ah, found.x, sigma, dict(model.held_out_mV))
 

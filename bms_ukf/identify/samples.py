@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bms_ukf import manifest
 from bms_ukf.manifest import Manifest, MeasuredTest
-from bms_ukf.recordings import Recording, estimate_voltage_lag_s, read, require_sign
+from bms_ukf.recordings import Recording, Selection, estimate_voltage_lag_s, read, require_sign
 
 Array = NDArray[np.float64]
 
@@ -51,6 +51,8 @@ def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
         current_positive=sign,
         current_hold=test.current_hold,
         temperature_degC=test.temperature_degC,
+        selection=Selection(test.columns.named(), test.where),
+        restarts=test.initial_soc == "rest",
     )
     require_sign(recording, sign)
     lag_s = estimate_voltage_lag_s(recording) if test.voltage_lag_s == "estimate" else test.voltage_lag_s
@@ -63,11 +65,11 @@ def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
 
 
 def counted_soc(recording: Recording, test: MeasuredTest, capacity_Ah: float, coulombic_efficiency: float) -> Array:
-    """SoC at every row: from the start, by the charge that flowed."""
+    """SoC at every row: from the start, by the charge that flowed; `rests.counted_soc` where that start is a rest."""
     drawn_Ah = np.diff(recording.drawn_Ah, prepend=recording.drawn_Ah[0])
     moved_Ah = np.where(drawn_Ah < 0, coulombic_efficiency * drawn_Ah, drawn_Ah)
     start = test.initial_soc
-    if start is None:
+    if start is None or start == "rest":
         known = recording.soc_ref is not None and np.isfinite(recording.soc_ref[0])
         start = float(recording.soc_ref[0]) if known and recording.soc_ref is not None else 1.0
     return np.asarray(start - np.cumsum(moved_Ah) / capacity_Ah)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import ocv
+from bms_ukf.identify import ocv, uncertainty
 from bms_ukf.identify.dynamics import Model
 from bms_ukf.identify.openloop import Prediction
 from bms_ukf.identify.samples import Samples
-from bms_ukf.identify.simulate import R0
 from bms_ukf.identify.tables import SOC
 from bms_ukf.manifest import MeasuredTest
 from bms_ukf.recordings import Recording
@@ -78,12 +77,8 @@ def _about_reach(model: Model, fitted: Sequence[Samples], validated: Sequence[Pr
 
 def _about_observability(model: Model) -> list[str]:
     """SoC ranges of r0 that the tests hardly saw."""
-    if model.sigma is None:
-        return []
-    block = model.unknowns.to_tables.reshape(*model.unknowns.shape, -1)[R0]
-    sigma = np.sqrt((block**2) @ model.sigma[: model.unknowns.n_tables] ** 2)
     warnings = []
-    for T, row in zip(model.unknowns.temperature_degC, sigma, strict=True):
+    for T, row in zip(model.unknowns.temperature_degC, uncertainty.tables(model).get("r0_ohm", []), strict=False):
         poor = SOC[row > 0.3]
         if poor.size:
             warnings.append(f"r0 at {T:g} degC is hardly observed at SoC {', '.join(f'{soc:g}' for soc in poor)}")
