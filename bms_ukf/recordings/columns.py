@@ -86,11 +86,15 @@ class Selection:
                     expected = f"one of the file's columns: {', '.join(header)}"
                     raise ConfigError(path, key=f"{option}.{key}", value=title, expected=expected)
 
+    def __str__(self) -> str:
+        """The chosen rows, in a few words: `cell=A7 Step=3|4`."""
+        return " ".join(f"{title}={'|'.join(map(_text, _values(wanted)))}" for title, wanted in self.where.items())
+
     def rows(self, path: Path, cells: Mapping[str, Sequence[Any]]) -> NDArray[np.bool_]:
         """Which rows are meant, given the cells of the `where` columns. Raises ConfigError if there are none."""
         kept = np.ones(len(next(iter(cells.values()))), dtype=bool)
         for title, wanted in self.where.items():
-            values = [wanted] if isinstance(wanted, int | float | str) else list(wanted)
+            values = _values(wanted)
             matches = np.array([any(_same(cell, value) for value in values) for cell in cells[title]], dtype=bool)
             if not np.any(kept & matches):
                 there = dict.fromkeys(str(cell) for cell, k in zip(cells[title], kept, strict=True) if k)
@@ -136,6 +140,14 @@ def choose(header: Sequence[str], selection: Selection = EVERYTHING) -> dict[str
             if kind not in found or rank < found[kind][0]:
                 found[kind] = (rank, column, factor, offset)
     return {kind: place[1:] for kind, place in found.items()}
+
+
+def _values(wanted: Cell | Sequence[Cell]) -> list[Cell]:
+    return [wanted] if isinstance(wanted, int | float | str) else list(wanted)
+
+
+def _text(value: Cell) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _same(cell: Any, value: Cell) -> bool:

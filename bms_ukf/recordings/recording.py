@@ -111,7 +111,7 @@ def read(
         current_A[long] = 3600 * np.diff(drawn_Ah, prepend=0.0)[long] / step_s[long]
     stem = path.name.removesuffix(".gz").removesuffix(path.suffix).removesuffix(".csv")
     recording = Recording(
-        " ".join([stem, *(f"{title}={value}" for title, value in selection.where.items())]),
+        f"{stem} {selection}".strip(),
         columns["time_s"],
         current_A,
         columns["voltage_V"],

@@ -73,7 +73,7 @@ def slow_rows(found: Identified) -> list[tuple[str, str, str, str, str]]:
 
 
 def parameter_rows(found: Identified) -> list[tuple[str, list[str]]]:
-    """For each table: the range of its middle values and their median standard error, by temperature, as text."""
+    """For each table: the medians of its middle values and of their standard errors, by temperature, as text."""
     rows = []
     middle = SOC[uncertainty.MIDDLE]
     for key, sigma in uncertainty.tables(found.model).items():
@@ -83,6 +83,6 @@ def parameter_rows(found: Identified) -> list[tuple[str, list[str]]]:
             values = at_T.get(key)
             if values is not None:
                 error = float(np.median(row[uncertainty.MIDDLE]))
-                cells.append(f"{values.min():.3g}..{values.max():.3g} ±{100 * error:.0f} %")
+                cells.append(f"{np.median(values):.3g} ±{100 * error:.0f} %")
         rows.append((key, cells))
     return rows

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 SOC = np.linspace(0, 1, 401)
 MOST_TRACES = 8
+MOST_NAMED = 10  # in a legend
 MOST_SPREAD = 2.0  # of a logarithm: a table no test has seen must not set the scale for the others
 
 
@@ -110,7 +111,7 @@ def _errors(found: Identified, figure: Figure) -> None:
                     label=prediction.name,
                 )
         axes.set(title=f"Errors of the tests to {use}", xlabel="predicted minus measured [mV]", yticks=[])
-        if found.predictions[use]:
+        if 0 < len(found.predictions[use]) <= MOST_NAMED:
             axes.legend(fontsize=7)
 
 
