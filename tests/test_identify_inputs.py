@@ -147,3 +147,18 @@ def test_the_error_of_an_ocv_is_within_a_factor_of_three_that_of_repeated_measur
     inside = (ocv.SOC > 0.1) & (ocv.SOC < 0.9)
     spread = np.median(np.std(found, axis=0)[inside])
     assert spread / 3 < np.median(np.mean(sigmas, axis=0)[inside]) < 3 * spread
+
+
+def test_stated_errors_are_those_of_repeated_fits_when_one_test_has_a_larger_correlated_misfit() -> None:
+    """Two unknowns: one seen by both tests, one by the second alone, whose errors last twenty rows."""
+    rng = np.random.default_rng(13)
+    n, prior = 400, np.zeros((1, 2))
+    jacobians = [np.column_stack([np.ones(n), np.zeros(n)]), np.column_stack([np.ones(n), np.linspace(-1, 1, n)])]
+    found, stated = [], []
+    for _ in range(200):
+        data = [rng.normal(0, 1.5, n), np.repeat(rng.normal(0, 6.0, n // 20), 20)]
+        x = np.linalg.lstsq(np.vstack(jacobians), np.concatenate(data), rcond=None)[0]
+        residuals = [jacobian @ x - seen for jacobian, seen in zip(jacobians, data, strict=True)]
+        found.append(x)
+        stated.append(effective.standard_errors(jacobians, residuals, prior))
+    np.testing.assert_allclose(np.median(stated, axis=0) / np.std(found, axis=0), 1.0, atol=0.35)

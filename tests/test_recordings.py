@@ -256,3 +256,13 @@ def test_after_a_gap_a_recording_starts_anew_only_where_it_is_asked_to(tmp_path:
     whole = read(path, current_positive="discharge", temperature_degC=25.0, restarts=True)
     np.testing.assert_array_equal(whole.after_gap, [False, False, False, True, False])
     np.testing.assert_allclose(whole.drawn_Ah * 3600, [0, 2, 4, 4, 6])
+
+
+def test_extra_records_at_the_edge_of_a_step_are_left_out_and_regular_fast_ones_kept(tmp_path: Path) -> None:
+    rows = ["0,0,4.0", "0.1,0,4.0", "0.12,0,3.9", "0.22,2,3.9", "0.32,2,3.9", "0.33,0,3.9", "0.43,0,4.0", "0.53,0,4.0"]
+    path = write(tmp_path / "a.csv", "time_s,current_A,voltage_V", rows)
+    found = read(path, current_positive="discharge", temperature_degC=25.0)
+    np.testing.assert_allclose(found.time_s, [0, 0.1, 0.22, 0.32, 0.43, 0.53])
+    assert "2 rows at the edge of a step" in found.warnings[0]
+    fast = write(tmp_path / "b.csv", "time_s,current_A,voltage_V", [f"{0.01 * k},1,3.7" for k in range(50)])
+    assert read(fast, current_positive="discharge", temperature_degC=25.0).time_s.size == 50

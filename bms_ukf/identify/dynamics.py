@@ -195,12 +195,9 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, 
     found = least_squares(
         residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
     )
-    covariance = np.linalg.pinv(found.jac.T @ found.jac)
-    data = found.fun[: -len(prior)]
-    blocks = np.split(data, np.cumsum([weight.size for weight in weights])[:-1])
-    independent = sum(effective.rows(block[weight > 0]) for block, weight in zip(blocks, weights, strict=True))
-    variance = max(1.0, float(np.sum(data**2)) / independent)
-    sigma = np.sqrt(np.diag(covariance) * variance)
+    edges = np.cumsum([weight.size for weight in weights])
+    rows = [np.flatnonzero(weight) + edge - weight.size for weight, edge in zip(weights, edges, strict=True)]
+    sigma = effective.standard_errors([found.jac[k] for k in rows], [found.fun[k] for k in rows], prior)
     return Model(unknowns, model.ocv, model.capacity_Ah, found.x, sigma, dict(model.held_out_mV))
 
 

@@ -22,6 +22,7 @@ Sign = Literal["charge", "discharge"]
 MISSING_SHARE = 0.02  # more rows than this without current or voltage: the file is broken, not interrupted
 GAP_S = 600.0  # a longer interval says nothing of what flowed in it, unless a charge counter does
 REPEATED_S = 1.0  # an interval so short that one current is as good as the other for its charge
+EDGE_S = 0.05  # closer to the row before than this, and than a third of the usual interval: an extra record
 REST_A = 0.02  # as a share of the largest current: below it a cell rests
 
 
@@ -161,6 +162,13 @@ def _without_repeats(path: Path, columns: dict[str, Array], warnings: list[str])
     kept = np.where(np.diff(columns["time_s"][first], prepend=-np.inf) <= REPEATED_S, last, first)
     if not new.all():
         warnings.append(f"{path.name}: {np.count_nonzero(~new)} rows at the time of another left out")
+    # Records of a step's edge, between two regular ones, pair the current of one step with the voltage of the other.
+    interval_s = np.diff(columns["time_s"][kept])
+    if kept.size > 1:
+        edge = np.concatenate([[False], interval_s < min(EDGE_S, float(np.median(interval_s)) / 3)])
+        if edge.any():
+            warnings.append(f"{path.name}: {np.count_nonzero(edge)} rows at the edge of a step left out")
+        kept = kept[~edge]
     if kept.size < 3:
         raise ConfigError(path, expected="at least three rows at different times")
     return {name: column[kept] for name, column in columns.items()}
