@@ -219,7 +219,7 @@ class CellParams(toml.Document):
         return pchip.interpolate(self.ocv.soc, self._ocv_row(temperature_degC), soc)
 
     def dynamics_at(self, soc: ArrayLike, temperature_degC: float) -> dict[str, Array]:
-        """All that [dynamics], [hysteresis] and [noise] say of SoC values in 0..1 at a temperature, in the kernel's order.
+        """All that [dynamics], [hysteresis] and [noise] say of SoC in 0..1 at a temperature, in the kernel's order.
 
         `r0_ohm, r0_charge_ohm, r0_knee_A, error_scale, r1_ohm, tau1_s` and so on, `hysteresis_V` last if there is any.
 

@@ -218,6 +218,34 @@ def export_benchmark(cell: str, out: Path) -> None:
     click.echo(benchmark_entry.package(cell, out))
 
 
+@cli.command("import")
+@click.argument("sources", type=PATH, nargs=-1, required=True)
+@click.option("--out", type=PATH, required=True, callback=_writable, help="Write the cell file here.")
+@click.option("--capacity", type=click.FloatRange(0, 2000, min_open=True), required=True, help="Of the cell, Ah.")
+@click.option("--voltage-limits", type=(float, float), help="Lower and upper, V.  [default: OCV at SoC 0 and 1]")
+@click.option("--name", help="Of the cell.  [default: that of the file to write]")
+@click.option("--chemistry", default="unknown", show_default=True)
+def import_(
+    sources: tuple[Path, ...],
+    out: Path,
+    capacity: float,
+    voltage_limits: tuple[float, float] | None,
+    name: str | None,
+    chemistry: str,
+) -> None:
+    """Make a cell file of published ECM tables: CSV files as PyBaMM reads them, or a folder of them."""
+    from bms_ukf import ecm_tables
+
+    text = ecm_tables.import_cell(
+        sources, name=name or out.stem, chemistry=chemistry, capacity_Ah=capacity, voltage_limits_V=voltage_limits
+    )
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(out, expected=f"a file that can be written ({error.strerror})") from None
+    click.echo(f"{out}: its [noise] is assumed, not measured", err=True)
+
+
 def _write_json(path: Path, data: dict[str, Any]) -> None:
     try:
         path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -144,9 +144,10 @@ class Estimator:
     def sleep(self, off_s: float, t_ns: int) -> None:
         """Let `off_s` >= 0 s pass with nothing measured and the cell at rest but for `tuning.standby_current_A`.
 
-        For a belief that was stored: polarisation fades, the offset of the current sensor is forgotten, and SoC falls by
-        the standby current and is in doubt by its sigma times the time. Afterwards the time is `t_ns`, of whatever clock
-        the samples to come are stamped by. Without a belief only the time is set. ValueError if `off_s` is below 0.
+        For a belief that was stored: polarisation fades, the offset of the current sensor is forgotten, and SoC falls
+        by the standby current and is in doubt by its sigma times the time. Afterwards the time is `t_ns`, of whatever
+        clock the samples to come are stamped by. Without a belief only the time is set. ValueError if `off_s` is
+        below 0.
         """
         if not off_s >= 0:
             raise ValueError(f"off_s is {off_s}; expected at least 0")

@@ -17,16 +17,37 @@ DATA_FOLDER = "BMS_UKF_DATA"  # environment variable: where a manifest's files a
 Part = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=2, max_length=2)]
 
 
-class MeasuredTest(toml.Section):
-    """[[test]]: one file."""
+Cell = float | str
 
-    role: Literal["ocv", "pulse", "drive", "charge"]
+
+class Columns(toml.Section):
+    """The headers of quantities that the file calls otherwise. A unit in the header counts before the key's."""
+
+    time_s: str | None = None
+    current_A: str | None = None
+    voltage_V: str | None = None
+    temperature_degC: str | None = None
+    ah: str | None = None
+    soc_ref: str | None = None
+    hysteresis_V: str | None = None  # of an ocv_table: half of charge branch minus discharge branch
+
+    def named(self) -> dict[str, str]:
+        """Header by quantity, for those that are given."""
+        return {key: title for key, title in self if title is not None}
+
+
+class MeasuredTest(toml.Section):
+    """[[test]]: one file, or some rows of one."""
+
+    role: Literal["ocv", "ocv_table", "pulse", "drive", "charge"]
     file: str
+    columns: Columns = Field(default_factory=Columns)
+    where: dict[str, Cell | list[Cell]] = Field(default_factory=dict)  # header: what the test's rows have there
     temperature_degC: Temperature
     use: Literal["fit", "validate"] = "fit"
     part: Part = Field(default_factory=lambda: [0.0, 1.0])  # of its rows; the others are simulated, and do not count
     direction: Literal["charge", "discharge"] | None = None  # of an ocv file that holds one only
-    initial_soc: Annotated[float, Field(ge=-0.05, le=1.05)] | None = None  # default: soc_ref of the file, else full
+    initial_soc: Annotated[float, Field(ge=-0.05, le=1.05)] | Literal["rest"] | None = None  # None: soc_ref, else full
     voltage_lag_s: Annotated[float, Field(ge=-10, le=10)] | Literal["estimate"] = 0.0
     current_positive: Literal["charge", "discharge"] | None = None  # default: the manifest's
     current_hold: Literal["preceding", "following", "trapezoid"] = "preceding"
@@ -37,6 +58,8 @@ class MeasuredTest(toml.Section):
     def _ordered(self) -> Self:
         if self.part[0] >= self.part[1]:
             raise ValueError("part as [from, to] with from < to")
+        if self.initial_soc == "rest" and self.role in ("ocv", "ocv_table"):
+            raise ValueError("initial_soc as a number: 'rest' looks it up on the OCV that this test gives")
         return self
 
 

@@ -12,8 +12,8 @@ from bms_ukf import identify, toml
 from bms_ukf.cell import CellParams
 from bms_ukf.cli import main
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import dynamics, ocv, openloop, samples
-from bms_ukf.identify.simulate import R1, Place, between, drop
+from bms_ukf.identify import dynamics, ocv, openloop, samples, uncertainty
+from bms_ukf.identify.simulate import R0, R1, Place, between, drop
 from bms_ukf.identify.tables import SOC, Structure, Unknowns
 from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
@@ -333,6 +333,34 @@ def test_the_report_holds_every_test_and_warning(found: identify.Identified, tmp
     assert all(prediction.name in page for group in found.predictions.values() for prediction in group)
     assert "a warning to be seen" in page
     assert {path.name for path in (tmp_path / "report").glob("*.png")} >= {"ocv.png", "tables.png", "voltage.png"}
+
+
+def test_the_file_and_the_report_say_how_well_each_table_is_known(found: identify.Identified, tmp_path: Path) -> None:
+    from bms_ukf.report.identify import parameter_rows, slow_rows, write_report
+
+    stated = found.cell.provenance["rel_sigma"]
+    rows = len(found.cell.dynamics.temperature_degC)
+    assert {"r0_ohm", "r1_ohm", "tau1_s"} <= set(stated)
+    assert all(len(values) == rows and min(values) > 0 for values in stated.values())
+    assert len(found.cell.provenance["sigma"]["ocv_mV"]) == rows
+    page = write_report(tmp_path / "report.html", found).read_text()
+    assert all(cell in page for _, cells in parameter_rows(found) for cell in cells)
+    assert slow_rows(found)[0][1] == f"{found.slow.drawn_Ah[25.0]:.3f} Ah"
+
+
+def test_the_stated_error_of_r0_covers_what_halves_of_the_tests_make_of_it(
+    found: identify.Identified, made_up: Path
+) -> None:
+    """Fits to alternating blocks differ by the errors of both; sigmas of independent rows would be far smaller."""
+    _, chosen, _, _ = identify.load(made_up, Manifest.load(made_up))
+    fits = [
+        dynamics.fit(found.model, dynamics._alternate(chosen["fit"], phase), evaluations=8, kept=700)
+        for phase in (0, 1)
+    ]
+    seen = [fit.unknowns.tables(fit.x)[R0][:, uncertainty.MIDDLE] for fit in fits]
+    stated = [uncertainty.tables(fit)["r0_ohm"][:, uncertainty.MIDDLE] for fit in fits]
+    score = (seen[0] - seen[1]) / np.hypot(*stated)
+    assert 0.05 < np.sqrt(np.mean(score**2)) < 3
 
 
 def test_open_loop_of_a_shipped_cell_rests_at_its_ocv() -> None:

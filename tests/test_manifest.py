@@ -8,7 +8,7 @@ import pytest
 
 from bms_ukf import manifest, toml
 from bms_ukf.errors import ConfigError
-from bms_ukf.manifest import Manifest, MeasuredTest
+from bms_ukf.manifest import Columns, Manifest, MeasuredTest
 
 MODELS = Path(__file__).resolve().parents[1] / "models"
 EXAMPLE = MODELS / "configs" / "manifest.toml"
@@ -19,17 +19,20 @@ def test_the_example_has_every_key() -> None:
     used = {key for test in loaded.test for key in test.model_fields_set}
     assert loaded.model_fields_set == set(Manifest.model_fields)
     assert used == set(MeasuredTest.model_fields)
+    assert {key for test in loaded.test for key in test.columns.named()} == set(Columns.model_fields)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "named"),
     [
         ("role = ", "rolle = ", "did you mean role"),
-        ('"pulse"', '"puls"', "test.1.role"),
+        ('"pulse"', '"puls"', "test.2.role"),
         ("part = [0.0, 0.5]", "part = [0.5, 0.5]", "part as"),
         ("[2.5, 4.2]", "[4.2, 2.5]", "voltage_limits_V"),
         ("format = 1", "format = 2", "format"),
         ("initial_soc = 0.97", "initial_soc = 97", "initial_soc"),
+        ("columns = { soc_ref", "columns = { soc", "soc_ref"),
+        ("Step = [3, 4]", "Step = { from = 3 }", "where"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_it(tmp_path: Path, old: str, new: str, named: str) -> None:
@@ -60,11 +63,13 @@ def test_files_are_found_beside_the_manifest_then_in_the_data_folder(
 @pytest.mark.parametrize("path", sorted((MODELS / "cells" / "manifests").glob("*.toml")), ids=lambda path: path.stem)
 def test_no_shipped_manifest_validates_what_it_fits(path: Path) -> None:
     tests = Manifest.load(path).test
-    fitted = {(test.file, *test.part) for test in tests if test.use == "fit"}
+    fitted = [((test.file, test.where), *test.part) for test in tests if test.use == "fit"]
     for test in tests:
         if test.use == "validate":
             overlaps = [
-                part for part in fitted if part[0] == test.file and part[1] < test.part[1] and test.part[0] < part[2]
+                part
+                for part in fitted
+                if part[0] == (test.file, test.where) and part[1] < test.part[1] and test.part[0] < part[2]
             ]
             assert not overlaps
 

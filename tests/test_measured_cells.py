@@ -19,6 +19,7 @@ CELLS = Path(__file__).resolve().parents[1] / "models" / "cells"
 GATES_MV = {
     "panasonic_ncr18650pf": {25: 15, 10: 22, 0: 40, -10: 58},
     "a123_lfp": {45: 12, 25: 8, 5: 12, -15: 25},
+    "lgm50": {45: 12, 25: 16, 10: 24, 0: 36},
 }
 
 

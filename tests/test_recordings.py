@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bms_ukf.errors import ConfigError
-from bms_ukf.recordings import Recording, estimate_voltage_lag_s, read, require_sign
+from bms_ukf.recordings import Recording, Selection, estimate_voltage_lag_s, read, require_sign
 
 
 def write(path: Path, header: str, rows: list[str]) -> Path:
@@ -88,10 +88,8 @@ def test_holes_and_repeats_are_left_out_and_named(tmp_path: Path) -> None:
     found = read(write(tmp_path / "a.csv", "time_s,current_A,voltage_V,temperature_C", rows), current_positive="charge")
     assert found.time_s.size == 199
     assert np.isfinite(found.temperature_degC).all()
-    assert [word for warning in found.warnings for word in ("without", "before") if word in warning] == [
-        "without",
-        "before",
-    ]
+    named = ["1 rows without time", "temperature missing in 1 rows", "1 rows at the time of another"]
+    assert all(text in warning for text, warning in zip(named, found.warnings, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -170,3 +168,101 @@ def test_the_lag_of_the_voltage_is_found_and_removed(lag_s: float) -> None:
 def test_a_lag_is_not_guessed_from_slow_rows() -> None:
     recording = drive(0.3)
     assert estimate_voltage_lag_s(recording.rows(np.arange(0, 6000, 10))) == 0.0
+
+
+OWN_NAMES = "T_C,cell,ProgTime,Spannung,Strom,Log1"
+
+
+def own_rows(*cells: str) -> list[str]:
+    return [f"{T},{cell},{k},{3.7 + 0.1 * T},-1,{T + 1}" for T in (0, 25) for cell in cells for k in range(4)]
+
+
+NAMED = {"time_s": "ProgTime", "current_A": "Strom", "voltage_V": "Spannung", "temperature_degC": "Log1"}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet"])
+def test_named_columns_and_chosen_rows_are_read(tmp_path: Path, suffix: str) -> None:
+    rows = own_rows("Cell1", "Cell2")
+    if suffix == ".parquet":
+        import pyarrow as pa
+        from pyarrow import csv as pa_csv
+        from pyarrow import parquet
+
+        path = tmp_path / "a.parquet"
+        text = "\n".join([OWN_NAMES, *rows])
+        parquet.write_table(pa_csv.read_csv(pa.BufferReader(text.encode())), path)
+    else:
+        path = write(tmp_path / f"a{suffix}", OWN_NAMES, rows)
+    selection = Selection(NAMED, {"T_C": 25.0, "cell": ["Cell2", "Cell3"]})
+    found = read(path, current_positive="charge", selection=selection)
+    np.testing.assert_allclose(found.time_s, range(4))
+    np.testing.assert_allclose(found.voltage_V, 6.2)
+    np.testing.assert_allclose(found.temperature_degC, 26.0)
+    assert found.name == "a T_C=25 cell=Cell2|Cell3"
+
+
+@pytest.mark.parametrize(
+    ("columns", "where", "named"),
+    [
+        (
+            {**NAMED, "current_A": "Current"},
+            {},
+            "columns.current_A is 'Current'; expected one of the file's columns: T_C",
+        ),
+        (NAMED, {"Cell": "Cell1"}, "where.Cell"),
+        (NAMED, {"cell": "Cell7"}, "where.cell is 'Cell7'; expected a value of that column: Cell1, Cell2"),
+        (NAMED, {"T_C": 25.0, "cell": 7.0}, "where.cell"),
+    ],
+)
+def test_a_column_or_value_that_is_not_there_is_named_with_those_that_are(
+    tmp_path: Path, columns: dict[str, str], where: dict[str, float | str], named: str
+) -> None:
+    path = write(tmp_path / "a.csv", OWN_NAMES, own_rows("Cell1", "Cell2"))
+    with pytest.raises(ConfigError) as error:
+        read(path, current_positive="charge", selection=Selection(columns, where))
+    assert named in str(error.value)
+
+
+def test_a_unit_in_a_named_header_counts(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "Prog [min],Strom (mA),U", [f"{k},2000,3.7" for k in range(4)])
+    columns = {"time_s": "Prog [min]", "current_A": "Strom (mA)", "voltage_V": "U"}
+    found = read(path, current_positive="discharge", temperature_degC=25.0, selection=Selection(columns))
+    np.testing.assert_allclose(found.time_s, [0, 60, 120, 180])
+    np.testing.assert_allclose(found.current_A, 2.0)
+
+
+def test_rows_without_temperature_are_counted_and_never_zero(tmp_path: Path) -> None:
+    rows = [f"{k},1,3.7,{'' if k == 1 else 20 + k}" for k in range(4)]
+    found = read(write(tmp_path / "a.csv", "time_s,current_A,voltage_V,temperature_C", rows), current_positive="charge")
+    np.testing.assert_allclose(found.temperature_degC, [20, 21, 22, 23])
+    assert "temperature missing in 1 rows of 4" in found.warnings[0]
+
+
+def test_of_rows_at_one_time_the_new_step_is_kept_and_after_a_long_interval_the_old_one(tmp_path: Path) -> None:
+    """Cyclers log the change of a step twice, the first time with the old current and the new voltage."""
+    rows = ["0,0,4.0", "0.5,0,3.9", "0.5,2,3.9", "1,2,3.9", "61,2,3.8", "61,0,3.85", "62,0,3.9"]
+    path = write(tmp_path / "a.csv", "time_s,current_A,voltage_V", rows)
+    found = read(path, current_positive="discharge", temperature_degC=25.0)
+    np.testing.assert_allclose(found.time_s, [0, 0.5, 1, 61, 62])
+    np.testing.assert_allclose(found.current_A, [0, 2, 2, 2, 0])
+
+
+def test_after_a_gap_a_recording_starts_anew_only_where_it_is_asked_to(tmp_path: Path) -> None:
+    rows = [f"{t},{i},{v}" for t, i, v in [(0, 0, 4.0), (1, 2, 3.9), (2, 2, 3.9), (5000, 0, 3.7), (5001, 2, 3.6)]]
+    path = write(tmp_path / "a.csv", "time_s,current_A,voltage_V", rows)
+    cut = read(path, current_positive="discharge", temperature_degC=25.0)
+    assert cut.time_s[-1] == 2
+    assert "cut at 2 s" in cut.warnings[0]
+    whole = read(path, current_positive="discharge", temperature_degC=25.0, restarts=True)
+    np.testing.assert_array_equal(whole.after_gap, [False, False, False, True, False])
+    np.testing.assert_allclose(whole.drawn_Ah * 3600, [0, 2, 4, 4, 6])
+
+
+def test_extra_records_at_the_edge_of_a_step_are_left_out_and_regular_fast_ones_kept(tmp_path: Path) -> None:
+    rows = ["0,0,4.0", "0.1,0,4.0", "0.12,0,3.9", "0.22,2,3.9", "0.32,2,3.9", "0.33,0,3.9", "0.43,0,4.0", "0.53,0,4.0"]
+    path = write(tmp_path / "a.csv", "time_s,current_A,voltage_V", rows)
+    found = read(path, current_positive="discharge", temperature_degC=25.0)
+    np.testing.assert_allclose(found.time_s, [0, 0.1, 0.22, 0.32, 0.43, 0.53])
+    assert "2 rows at the edge of a step" in found.warnings[0]
+    fast = write(tmp_path / "b.csv", "time_s,current_A,voltage_V", [f"{0.01 * k},1,3.7" for k in range(50)])
+    assert read(fast, current_positive="discharge", temperature_degC=25.0).time_s.size == 50

@@ -15,10 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from bms_ukf import toml
+from bms_ukf import measured, toml
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import cellfile, dynamics, errorbar, noise, ocv, openloop, samples, warn
+from bms_ukf.identify import (
+    cellfile,
+    dynamics,
+    errorbar,
+    noise,
+    ocv,
+    ocv_table,
+    openloop,
+    rests,
+    samples,
+    uncertainty,
+    warn,
+)
 from bms_ukf.identify.samples import Samples
 from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
@@ -60,7 +72,7 @@ def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identif
         use: {_label(test): round(1e3 * seen.rmse_V(), 1) for test, seen in zip(group, judged[use], strict=True)}
         for use, group in chosen.items()
     }
-    found |= cellfile.provenance(path, tests, model.held_out_mV, rmse_mV)
+    found |= cellfile.provenance(path, tests, model.held_out_mV, rmse_mV) | uncertainty.summary(model, slow)
     title = f"{tests.cell}: {tests.chemistry}, identified from measured tests; bms_ukf/cell.py explains every key."
     text = cellfile.to_toml(found, title)
     warnings += warn.about(model, slow, chosen, judged)
@@ -71,29 +83,41 @@ def load(
     path: Path, tests: Manifest, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[ocv.Slow, dict[str, list[Samples]], float, list[str]]:
     """All tests of a manifest: the slow ones analysed, the others sampled by use; charge efficiency; warnings."""
-    recordings = []
+    recordings: list[tuple[MeasuredTest, Recording]] = []
+    tables, warnings = [], []
     for test in tests.test:
         progress(f"reading {Path(test.file).name}")
-        recordings.append((test, samples.load(path, tests, test)))
-    warnings = [warning for _, recording in recordings for warning in recording.warnings]
+        if test.role == "ocv_table":
+            curve, doubts = ocv_table.load(path, test)
+            tables.append(curve)
+        else:
+            recordings.append((test, measured.load(path, tests, test)))
+            doubts = recordings[-1][1].warnings
+        warnings += doubts
     progress("open-circuit voltage")
     moving = [pair for pair in recordings if pair[0].role != "ocv"]
     still = [pair for pair in recordings if pair[0].role == "ocv"]
-    slow = ocv.analyse(tests, still, str(path)) if still else _from_rests(tests, moving, path)
+    slow = ocv.analyse(tests, still, str(path), tables) if still or tables else _from_rests(tests, moving, path)
     warnings += slow.warnings
     efficiency = (
         samples.coulombic_efficiency([pair for pair in moving if pair[0].use == "fit"], slow.capacity_Ah) or 1.0
     )
     chosen: dict[str, list[Samples]] = {"fit": [], "validate": []}
     for test, recording in moving:
-        soc = samples.counted_soc(recording, test, slow.capacity_Ah, efficiency)
+        if test.initial_soc == "rest":
+            soc, doubts = rests.counted_soc(recording, test, slow, efficiency)
+            warnings += doubts
+        else:
+            soc = samples.counted_soc(recording, test, slow.capacity_Ah, efficiency)
         warnings += warn.about_count(recording, test, soc, str(path))
         chosen[test.use].append(samples.sample(recording, test, soc, tests.voltage_limits_V[0]))
     return slow, chosen, efficiency, warnings
 
 
 def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
-    pulses = [pair for pair in moving if pair[0].role == "pulse" and pair[0].use == "fit"]
+    pulses = [
+        pair for pair in moving if pair[0].role == "pulse" and pair[0].use == "fit" and pair[0].initial_soc != "rest"
+    ]
     capacity_Ah = tests.capacity_Ah or 1.0  # without one it is refused, whatever the SoC
     counted = [(test, recording, samples.counted_soc(recording, test, capacity_Ah, 1.0)) for test, recording in pulses]
     return ocv.from_rests(tests, counted, str(path))
@@ -111,10 +135,10 @@ def _noise(
         left_out_mV = model.held_out_mV[str(model.unknowns.structure)]
         values = noise.estimate(judged["fit"], pairs, factor=max(1.5, left_out_mV / max(seen_mV, 0.1)))
     seen = [prediction for group in judged.values() for prediction in group]
-    values |= noise.error_map(seen, values, model.unknowns.temperature_degC)
+    where = noise.error_map(seen, values, model.unknowns.temperature_degC.tolist())
     if "hysteresis" in found:
         values["hysteresis_sigma_V"] = round(max(0.3 * float(np.median(found["hysteresis"]["max_V"])), 5e-4), 4)
-    return values
+    return {**values, **where}
 
 
 def _draft_noise(model: dynamics.Model) -> dict[str, float]:

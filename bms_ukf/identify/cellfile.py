@@ -34,13 +34,13 @@ def sections(tests: Manifest, model: Model, slow: ocv.Slow, samples: Sequence[Sa
     temperatures = [float(T) for T in unknowns.temperature_degC]
     current_A = np.concatenate([test.current_A for test in samples])
     capacity_Ah = slow.capacity_Ah
-    dynamics: dict[str, Any] = {"soc": SOC, "temperature_degC": temperatures, "r0_ohm": _figures(tables[R0])}
+    dynamics: dict[str, Any] = {"soc": SOC, "temperature_degC": temperatures, "r0_ohm": figures(tables[R0])}
     if not np.allclose(tables[R0_CHARGE], tables[R0], rtol=1e-3):
-        dynamics["r0_charge_ohm"] = _figures(tables[R0_CHARGE])
-    dynamics["r0_knee_A"] = _figures(tables[KNEE], 3)
+        dynamics["r0_charge_ohm"] = figures(tables[R0_CHARGE])
+    dynamics["r0_knee_A"] = figures(tables[KNEE], 3)
     for j in range(unknowns.structure.pairs):
-        dynamics[f"r{j + 1}_ohm"] = _figures(tables[R1 + 2 * j])
-        dynamics[f"tau{j + 1}_s"] = _figures(tables[R1 + 2 * j + 1], 3)
+        dynamics[f"r{j + 1}_ohm"] = figures(tables[R1 + 2 * j])
+        dynamics[f"tau{j + 1}_s"] = figures(tables[R1 + 2 * j + 1], 3)
     found: Sections = {
         "cell": {
             "name": tests.cell,
@@ -87,22 +87,31 @@ def provenance(
     path: Path, tests: Manifest, held_out_mV: dict[str, float], rmse_mV: dict[str, dict[str, float]]
 ) -> Sections:
     """Who made the file, when, of what, and how well it does."""
-    try:
-        tool = f"bms-ukf {version('bms-ukf')}"
-    except PackageNotFoundError:
-        tool = "bms-ukf (not installed as a package)"
     files = {test.file: _sha256(manifest.find(path, test.file)) for test in tests.test}
     return {
         "provenance": {
             "made_by": f"bms-ukf identify {path.name}",
-            "tool": tool,
-            "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+            "tool": tool(),
+            "date": today(),
             "manifest_sha256": _sha256(path),
         },
         "provenance.held_out_rmse_mV": {name: round(value, 2) for name, value in held_out_mV.items()},
         **{f"provenance.{use}_rmse_mV": values for use, values in rmse_mV.items() if values},
         "provenance.sha256": files,
     }
+
+
+def tool() -> str:
+    """This package and its version."""
+    try:
+        return f"bms-ukf {version('bms-ukf')}"
+    except PackageNotFoundError:
+        return "bms-ukf (not installed as a package)"
+
+
+def today() -> str:
+    """The date in UTC, as ISO 8601."""
+    return datetime.datetime.now(tz=datetime.UTC).date().isoformat()
 
 
 def to_toml(found: Sections, title: str) -> str:
@@ -114,7 +123,7 @@ def to_toml(found: Sections, title: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _figures(table: Array, digits: int = 4) -> Array:
+def figures(table: Array, digits: int = 4) -> Array:
     """Rounded to significant digits: resistances of large cells are small numbers."""
     power = 10.0 ** (digits - 1 - np.floor(np.log10(table)))
     return np.asarray(np.round(table * power) / power)

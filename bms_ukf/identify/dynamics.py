@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from bms_ukf.identify import ocv
+from bms_ukf.identify import effective, ocv
 from bms_ukf.identify.ocv_rows import OcvRows
 from bms_ukf.identify.samples import Samples, at
 from bms_ukf.identify.simulate import Place, between, drop, lowpass
@@ -195,11 +195,9 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, 
     found = least_squares(
         residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
     )
-    covariance = np.linalg.pinv(found.jac.T @ found.jac)
-    data = found.fun[: -len(prior)]
-    # Errors of a model are correlated: as many independent ones as blocks would be too few, as rows too many.
-    variance = max(1.0, float(np.sum(data**2)) / max(sum(float(np.sum(w > 0)) for w in weights) / 30, 1.0))
-    sigma = np.sqrt(np.diag(covariance) * variance)
+    edges = np.cumsum([weight.size for weight in weights])
+    rows = [np.flatnonzero(weight) + edge - weight.size for weight, edge in zip(weights, edges, strict=True)]
+    sigma = effective.standard_errors([found.jac[k] for k in rows], [found.fun[k] for k in rows], prior)
     return Model(unknowns, model.ocv, model.capacity_Ah, found.x, sigma, dict(model.held_out_mV))
 
 

@@ -1,9 +1,9 @@
 """Whether the estimator's error bar is true with an identified cell, and what it takes to make it so.
 
-The noise that explains the voltage errors of a model is not all that its SoC depends on: on a plateau of the OCV an error
-of the curve stays the same for hours, and a filter that takes it for one that changes is too sure of itself. Only the
-estimator itself can tell. So it is run over tests that were not fitted, with the cell file as it will be used, and all
-sigmas grow until its error bar holds the SoC of the tests as often as it says.
+The noise that explains the voltage errors of a model is not all that its SoC depends on: on a plateau of the OCV an
+error of the curve stays the same for hours, and a filter that takes it for one that changes is too sure of itself.
+Only the estimator itself can tell. So it is run over tests that were not fitted, with the cell file as it will be
+used, and all sigmas grow until its error bar holds the SoC of the tests as often as it says.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from bms_ukf.errors import ConfigError
+from bms_ukf.identify import effective
 from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
 
@@ -61,6 +62,7 @@ class Slow:
     capacity_Ah: float
     curves: list[Curve]  # by temperature
     drawn_Ah: dict[float, float] = field(default_factory=dict)  # full to lower limit, by temperature
+    charged_Ah: dict[float, float] = field(default_factory=dict)  # and back to the upper limit
     warnings: list[str] = field(default_factory=list)
 
     def at(self, temperature_degC: float) -> Array:
@@ -87,8 +89,16 @@ class Slow:
         return np.asarray(np.polyfit([curve.temperature_degC for curve in self.curves], rows, 1)[0])
 
 
-def analyse(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]], source: str) -> Slow:
-    """Curves of all `ocv` tests. Raises ConfigError if they give no capacity or no curve."""
+def analyse(
+    tests: Manifest,
+    recordings: Sequence[tuple[MeasuredTest, Recording]],
+    source: str,
+    tables: Sequence[Curve] = (),
+) -> Slow:
+    """Curves of all `ocv` tests; a table goes before a test at its temperature.
+
+    Raises ConfigError if they give no capacity or no curve.
+    """
     branches: dict[float, dict[str, Run]] = {}
     warnings: list[str] = []
     for test, recording in recordings:
@@ -97,7 +107,7 @@ def analyse(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]
                 found = branches.setdefault(test.temperature_degC, {})
                 if run.direction not in found or run.moved_Ah[-1] > found[run.direction].moved_Ah[-1]:
                     found[run.direction] = run
-    if not branches:
+    if not branches and not tables:
         raise ConfigError(source, key="test", expected="a test of role 'ocv' with a full charge or discharge in it")
     low, high = tests.voltage_limits_V
     drawn_Ah = {
@@ -105,15 +115,22 @@ def analyse(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]
         for T, found in sorted(branches.items())
         if "discharge" in found and found["discharge"].voltage_V[-1] < low + 0.15
     }
+    charged_Ah = {
+        T: float(found["charge"].moved_Ah[-1])
+        for T, found in sorted(branches.items())
+        if T in drawn_Ah and "charge" in found and found["charge"].voltage_V[-1] > high - 0.03
+    }
     capacity_Ah = tests.capacity_Ah or _capacity(drawn_Ah, source)
     _compare_capacity(tests, drawn_Ah, source, warnings)
     counts_Ah = _counts(branches, drawn_Ah, capacity_Ah)
-    curves = [_curve(T, found, counts_Ah, high, warnings) for T, found in sorted(branches.items())]
+    given = {table.temperature_degC for table in tables}
+    found_here = [_curve(T, found, counts_Ah, high, warnings) for T, found in branches.items() if T not in given]
+    curves = sorted([*tables, *found_here], key=lambda curve: curve.temperature_degC)
     both = [curve for curve in curves if curve.half_width_V is not None]
     left_out = [f"{curve.temperature_degC:g}" for curve in curves if curve.half_width_V is None]
     if both and left_out:
         warnings.append(f"OCV at {', '.join(left_out)} degC left out: other temperatures have both branches")
-    return Slow(capacity_Ah, both or curves, drawn_Ah, warnings)
+    return Slow(capacity_Ah, both or curves, drawn_Ah, charged_Ah, warnings)
 
 
 def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording, Array]], source: str) -> Slow:
@@ -139,7 +156,7 @@ def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recordi
             f"a test of role 'ocv', or capacity_Ah and pulse tests with {FEWEST_RESTS} rests of {REST_S:g} s or more"
         )
         raise ConfigError(source, key="test", expected=expected)
-    return Slow(tests.capacity_Ah, curves, {}, ["no slow test: the OCV is drawn through the ends of rests"])
+    return Slow(tests.capacity_Ah, curves, warnings=["no slow test: the OCV is drawn through the ends of rests"])
 
 
 def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:
@@ -159,10 +176,11 @@ def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tup
     lower = np.concatenate([[-np.inf], LEAST_SLOPE_V * step])
     target = np.concatenate([voltage_V, np.zeros(len(kink))])
     fitted = lsq_linear(system, target, bounds=(lower, np.full(SOC.size, np.inf)), method="bvls", tol=1e-9).x
-    residual_V = float(np.sqrt(np.mean((design @ fitted - voltage_V) ** 2)))
+    residual_V = (design @ fitted - voltage_V)[np.argsort(soc, kind="stable")]
+    error_V = float(np.sqrt(np.sum(residual_V**2) / effective.rows(residual_V)))
     covariance = np.linalg.pinv(system.T @ system)
     to_voltage = np.tril(np.ones((SOC.size, SOC.size)))
-    sigma_V = residual_V * np.sqrt(np.maximum(np.diag(to_voltage @ covariance @ to_voltage.T), 0))
+    sigma_V = error_V * np.sqrt(np.maximum(np.diag(to_voltage @ covariance @ to_voltage.T), 0))
     return np.cumsum(fitted), np.asarray(sigma_V)
 
 
@@ -178,7 +196,7 @@ def _runs(recording: Recording, test: MeasuredTest) -> list[Run]:
         if sign[start] and end - start > 20 and moved_Ah[-1] > whole_Ah / 5:
             direction = "discharge" if sign[start] > 0 else "charge"
             given = test.initial_soc if start == edges[0] else None
-            start_soc = given if given is not None else float(direction == "discharge")
+            start_soc = given if isinstance(given, float) else float(direction == "discharge")
             size_A = float(np.median(np.abs(recording.current_A[start:end])))
             runs.append(Run(direction, start_soc, moved_Ah, recording.voltage_V[start:end], size_A))
     return runs

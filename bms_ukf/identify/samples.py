@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import manifest
-from bms_ukf.manifest import Manifest, MeasuredTest
-from bms_ukf.recordings import Recording, estimate_voltage_lag_s, read, require_sign
+from bms_ukf.manifest import MeasuredTest
+from bms_ukf.recordings import Recording
 
 Array = NDArray[np.float64]
 
@@ -45,31 +43,12 @@ class Samples:
         return np.asarray(np.cumsum(self.step_s))
 
 
-def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
-    """The recording of a test of the manifest at `path`: sign checked, voltage lag removed, leading soak cut."""
-    sign = test.current_positive or tests.current_positive
-    recording = read(
-        manifest.find(path, test.file),
-        current_positive=sign,
-        current_hold=test.current_hold,
-        temperature_degC=test.temperature_degC,
-    )
-    require_sign(recording, sign)
-    lag_s = estimate_voltage_lag_s(recording) if test.voltage_lag_s == "estimate" else test.voltage_lag_s
-    if lag_s:
-        recording = recording.with_voltage_lag(float(lag_s))
-        if test.voltage_lag_s == "estimate":
-            recording.warnings.append(f"{recording.name}: voltage found to lag the current by {lag_s:.3f} s")
-    loaded = np.abs(recording.current_A) > 0.01 * np.abs(recording.current_A).max()
-    return recording.rows(slice(max(int(np.argmax(loaded)) - 1, 0), None))
-
-
 def counted_soc(recording: Recording, test: MeasuredTest, capacity_Ah: float, coulombic_efficiency: float) -> Array:
-    """SoC at every row: from the start, by the charge that flowed."""
+    """SoC at every row: from the start, by the charge that flowed; `rests.counted_soc` where that start is a rest."""
     drawn_Ah = np.diff(recording.drawn_Ah, prepend=recording.drawn_Ah[0])
     moved_Ah = np.where(drawn_Ah < 0, coulombic_efficiency * drawn_Ah, drawn_Ah)
     start = test.initial_soc
-    if start is None:
+    if start is None or start == "rest":
         known = recording.soc_ref is not None and np.isfinite(recording.soc_ref[0])
         start = float(recording.soc_ref[0]) if known and recording.soc_ref is not None else 1.0
     return np.asarray(start - np.cumsum(moved_Ah) / capacity_Ah)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import ocv
+from bms_ukf.identify import ocv, uncertainty
 from bms_ukf.identify.dynamics import Model
 from bms_ukf.identify.openloop import Prediction
 from bms_ukf.identify.samples import Samples
-from bms_ukf.identify.simulate import R0
 from bms_ukf.identify.tables import SOC
 from bms_ukf.manifest import MeasuredTest
 from bms_ukf.recordings import Recording
@@ -20,6 +19,7 @@ from bms_ukf.recordings import Recording
 Array = NDArray[np.float64]
 
 OFF_COUNT = 0.02  # SoC
+LEAST_COVERED = (0.15, 0.85)  # SoC
 MOVED_CAPACITY = 0.03  # share
 
 
@@ -61,7 +61,7 @@ def _about_capacity(model: Model) -> list[str]:
 
 
 def _about_reach(model: Model, fitted: Sequence[Samples], validated: Sequence[Prediction]) -> list[str]:
-    """Rows of the tables and validated tests beyond what was fitted."""
+    """SoC and temperatures of the tables and of validated tests beyond what was fitted."""
     warmest = max(float(test.temperature_degC.max()) for test in fitted)
     coldest = min(float(test.temperature_degC.min()) for test in fitted)
     warnings = [
@@ -69,6 +69,10 @@ def _about_reach(model: Model, fitted: Sequence[Samples], validated: Sequence[Pr
         for T in model.unknowns.temperature_degC
         if not coldest - 3 <= T <= warmest + 3
     ]
+    least = min(float(test.soc[test.counted].min()) for test in fitted)
+    most = max(float(test.soc[test.counted].max()) for test in fitted)
+    if least > LEAST_COVERED[0] or most < LEAST_COVERED[1]:
+        warnings.append(f"fitted tests cover SoC {least:.2f} to {most:.2f}: beyond, the tables are carried on")
     for prediction in validated:
         low, high = float(prediction.temperature_degC.min()), float(prediction.temperature_degC.max())
         if low < coldest - 3 or high > warmest + 3:
@@ -78,13 +82,11 @@ def _about_reach(model: Model, fitted: Sequence[Samples], validated: Sequence[Pr
 
 def _about_observability(model: Model) -> list[str]:
     """SoC ranges of r0 that the tests hardly saw."""
-    if model.sigma is None:
-        return []
-    block = model.unknowns.to_tables.reshape(*model.unknowns.shape, -1)[R0]
-    sigma = np.sqrt((block**2) @ model.sigma[: model.unknowns.n_tables] ** 2)
     warnings = []
-    for T, row in zip(model.unknowns.temperature_degC, sigma, strict=True):
+    for T, row in zip(model.unknowns.temperature_degC, uncertainty.tables(model).get("r0_ohm", []), strict=False):
         poor = SOC[row > 0.3]
-        if poor.size:
+        if poor.size == SOC.size:
+            warnings.append(f"r0 at {T:g} degC is hardly observed")
+        elif poor.size:
             warnings.append(f"r0 at {T:g} degC is hardly observed at SoC {', '.join(f'{soc:g}' for soc in poor)}")
     return warnings

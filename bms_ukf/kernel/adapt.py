@@ -3,13 +3,14 @@
 Neither is a state of the filter. Both are told from what a state could not explain, and slowly: over minutes.
 
 The variance of the fast voltage error is a multiple of the cell file's, never below 1. It follows the normalised
-innovation squared, whose mean is 1 where the error is as large as the filter takes it to be. On a plateau of the OCV the
-innovations are small whatever SoC is: so it only ever grows from there, and never says that SoC is well known.
+innovation squared, whose mean is 1 where the error is as large as the filter takes it to be. On a plateau of the OCV
+the innovations are small whatever SoC is: so it only ever grows from there, and never says that SoC is well known.
 
-r0 is told from changes. From one voltage to the next the innovation moves by what the ohmic drop moved, times what r0 is
-off; the slow errors of OCV, SoC and polarisation stay as they were, and so does an offset of the current sensor, which
-cancels in a difference. Only a step of the current tells: where it stands still, a difference is the sensor's noise, by
-which the prediction moves and the cell does not, and r0 would be told to be nothing. An r0 and an offset that were both told from the level of the voltage could not be told apart.
+r0 is told from changes. From one voltage to the next the innovation moves by what the ohmic drop moved, times what r0
+is off; the slow errors of OCV, SoC and polarisation stay as they were, and so does an offset of the current sensor,
+which cancels in a difference. Only a step of the current tells: where it stands still, a difference is the sensor's
+noise, by which the prediction moves and the cell does not, and r0 would be told to be nothing. An r0 and an offset
+that were both told from the level of the voltage could not be told apart.
 """
 
 from __future__ import annotations

@@ -4,10 +4,11 @@ Rest tells it outright: what a sensor shows while no current flows is its offset
 the contactor is open. Where a small reading merely stands still, something may yet draw a little: believed once a rest,
 with the sigma of such a load, and not at all if it is more than an offset could be.
 
-A voltage tells it by way of SoC: as far as SoC shows in the voltage against what the model itself may be wrong by. Slow
-errors of the model look like an offset to a filter that takes every second's voltage for news. So of its Kalman gain the
-bias takes a share only, and its variance falls no further than that share allows: the partial-update Schmidt-Kalman
-filter (Brink, J. Guid. Control Dyn. 40(9), 2017). With the bias last in a triangular root this is one sum of squares.
+A voltage tells it by way of SoC: as far as SoC shows in the voltage against what the model itself may be wrong by.
+Slow errors of the model look like an offset to a filter that takes every second's voltage for news. So of its Kalman
+gain the bias takes a share only, and its variance falls no further than that share allows: the partial-update
+Schmidt-Kalman filter (Brink, J. Guid. Control Dyn. 40(9), 2017). With the bias last in a triangular root this is one
+sum of squares.
 """
 
 from __future__ import annotations

@@ -97,9 +97,9 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
 def is_wide(p: Any, w: Any, m: Any, c: int) -> Any:
     """Whether the belief asks for the quadrature of `wide`: for its first voltage only.
 
-    What a quadrature leaves is not Gaussian, and the Gaussian that takes its place has tails the voltage had cut off. The
-    same voltage would cut them off again a second later, as if it were news, and at last a belief on a plateau would be
-    sure of its middle. Sigma points take the curve's ends for noise instead.
+    What a quadrature leaves is not Gaussian, and the Gaussian that takes its place has tails the voltage had cut off.
+    The same voltage would cut them off again a second later, as if it were news, and at last a belief on a plateau
+    would be sure of its middle. Sigma points take the curve's ends for noise instead.
     """
     return (w[m.lanes * k.H_FRESH + c] > real(p, 0)) & (w[m.lanes * m.root + c] > p[k.P_WIDE_SIGMA])
 

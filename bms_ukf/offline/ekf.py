@@ -5,10 +5,10 @@
     H = [docv/dsoc, -1 ..],  S = H P H^T + R,  x += P H^T / S innovation,  P -= P H^T H P / S
 
 as in Plett, Battery Management Systems II, 2015, chapter 3. It is tuned as carefully as ours: the same cell file with
-all its tables, the same parameters at the mean SoC, the same noise (the model error as correlated processes), the same
-first belief, the same gate and recovery. Without these two it was measured to do worse (weighted error on the Panasonic
-recordings 6.2 % instead of 3.9 %). The difference is that it takes the OCV curve for its tangent line, and the cell file
-for what it says: it does not learn.
+all its tables, the same parameters at the mean SoC, the same noise (the model error as correlated processes), the
+same first belief, the same gate and recovery. Without these two it was measured to do worse (weighted error on the
+Panasonic recordings 6.2 % instead of 3.9 %). The difference is that it takes the OCV curve for its tangent line, and
+the cell file for what it says: it does not learn.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ Array = NDArray[np.float64]
 SOC_STEPS = 400  # of the tables, evenly over 0..1
 TEMPERATURE_STEP_K = 2.5
 VOLTAGE_ERROR_S = 1.0  # the interval that [noise] of a cell file is derived at: faster readings are each worth less
-R0, R0_CHARGE, KNEE, ERROR, RC1 = range(5)  # columns of the tables; pairs of r_j, tau_j follow from RC1, then hysteresis
+R0, R0_CHARGE, KNEE, ERROR, RC1 = range(
+    5
+)  # columns of the tables; pairs of r_j, tau_j follow from RC1, then hysteresis
 
 
 class Model(NamedTuple):

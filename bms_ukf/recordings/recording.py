@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.errors import ConfigError
-from bms_ukf.recordings.columns import read_columns
+from bms_ukf.recordings.columns import EVERYTHING, Selection, read_columns
 
 Array = NDArray[np.float64]
 Hold = Literal["preceding", "following", "trapezoid"]
@@ -21,6 +21,8 @@ Sign = Literal["charge", "discharge"]
 
 MISSING_SHARE = 0.02  # more rows than this without current or voltage: the file is broken, not interrupted
 GAP_S = 600.0  # a longer interval says nothing of what flowed in it, unless a charge counter does
+REPEATED_S = 1.0  # an interval so short that one current is as good as the other for its charge
+EDGE_S = 0.05  # closer to the row before than this, and than a third of the usual interval: an extra record
 REST_A = 0.02  # as a share of the largest current: below it a cell rests
 
 
@@ -41,6 +43,16 @@ class Recording:
     def step_s(self) -> Array:
         """Length of the interval that ends at each row; 0 at the first."""
         return np.diff(self.time_s, prepend=self.time_s[0])
+
+    @property
+    def after_gap(self) -> NDArray[np.bool_]:
+        """Rows whose interval is so long that the file does not say what flowed in it."""
+        return self.step_s > max(GAP_S, 20 * float(np.median(self.step_s)))
+
+    @property
+    def at_rest(self) -> NDArray[np.bool_]:
+        """Rows without load."""
+        return np.asarray(np.abs(self.current_A) <= REST_A * np.abs(self.current_A).max())
 
     def rows(self, kept: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Recording:
         """The recording at some of its rows, each with the mean current of its longer interval."""
@@ -66,14 +78,21 @@ class Recording:
 
 
 def read(
-    path: Path, *, current_positive: Sign, current_hold: Hold = "preceding", temperature_degC: float | None = None
+    path: Path,
+    *,
+    current_positive: Sign,
+    current_hold: Hold = "preceding",
+    temperature_degC: float | None = None,
+    selection: Selection = EVERYTHING,
+    restarts: bool = False,
 ) -> Recording:
-    """The recording in a file. `temperature_degC` stands in for a column that is not there.
+    """The recording in a file, or in its selected rows. `temperature_degC` stands in for a column that is not there.
 
-    Rows without a number, repeated rows and gaps are left out and named in `warnings`. Raises ConfigError for what
-    cannot be mended: time running backwards, too many holes, no temperature.
+    With `restarts` a row at rest after a gap starts anew, with a SoC nobody counted; else what follows a gap under
+    current is cut. Rows without a number, repeated rows and gaps are left out and named in `warnings`. Raises
+    ConfigError for what cannot be mended: time running backwards, too many holes, no temperature.
     """
-    columns = read_columns(path)
+    columns = read_columns(path, selection)
     warnings: list[str] = []
     if "temperature_degC" not in columns:
         if temperature_degC is None:
@@ -86,12 +105,14 @@ def read(
     step_s = np.diff(columns["time_s"], prepend=columns["time_s"][0])
     drawn_Ah = np.cumsum(current_A * step_s) / 3600
     counter = columns.get("ah")
-    if counter is not None and np.isfinite(counter).all():
+    counted = counter is not None and bool(np.isfinite(counter).all())
+    if counter is not None and counted:
         drawn_Ah = sign * (counter - counter[0])
         long = step_s > GAP_S  # a counter is coarse, but knows what flowed in a gap
         current_A[long] = 3600 * np.diff(drawn_Ah, prepend=0.0)[long] / step_s[long]
+    stem = path.name.removesuffix(".gz").removesuffix(path.suffix).removesuffix(".csv")
     recording = Recording(
-        path.name.removesuffix(".gz").removesuffix(path.suffix).removesuffix(".csv"),
+        f"{stem} {selection}".strip(),
         columns["time_s"],
         current_A,
         columns["voltage_V"],
@@ -100,7 +121,7 @@ def read(
         columns.get("soc_ref"),
         warnings,
     )
-    return _until_gap(recording, counted=counter is not None)
+    return recording if counted else _until_gap(recording, restarts=restarts)
 
 
 def _without_holes(path: Path, columns: dict[str, Array], warnings: list[str]) -> dict[str, Array]:
@@ -116,24 +137,41 @@ def _without_holes(path: Path, columns: dict[str, Array], warnings: list[str]) -
     known = np.isfinite(columns["temperature_degC"])
     if not known.any():
         raise ConfigError(path, key="temperature_degC", expected="a number in at least one row")
+    if not known.all():
+        unknown = np.count_nonzero(~known)
+        warnings.append(
+            f"{path.name}: temperature missing in {unknown} rows of {known.size}: taken from their neighbours"
+        )
     rows = np.arange(known.size)
     columns["temperature_degC"] = np.interp(rows, rows[known], columns["temperature_degC"][known])
     return columns
 
 
 def _without_repeats(path: Path, columns: dict[str, Array], warnings: list[str]) -> dict[str, Array]:
-    """Rows at the time of the row before dropped; a time before it is refused."""
+    """One row for each time; a time before that of the row before is refused."""
     step_s = np.diff(columns["time_s"])
     if np.any(step_s < 0):
         row = int(np.argmax(step_s < 0)) + 1
         before, after = columns["time_s"][row - 1 : row + 1]
         raise ConfigError(path, key=f"time_s, row {row + 1}", value=float(after), expected=f"a time after {before:g}")
     new = np.concatenate([[True], step_s > 0])
+    first = np.flatnonzero(new)
+    last = np.append(first[1:], new.size) - 1
+    # Of rows at one time the first ends the old step and the last begins the new: between them, cyclers write voltages
+    # that are not those of their currents. After a longer interval the first alone knows what current flowed in it.
+    kept = np.where(np.diff(columns["time_s"][first], prepend=-np.inf) <= REPEATED_S, last, first)
     if not new.all():
-        warnings.append(f"{path.name}: {np.count_nonzero(~new)} rows at the time of the row before left out")
-    if np.count_nonzero(new) < 3:
+        warnings.append(f"{path.name}: {np.count_nonzero(~new)} rows at the time of another left out")
+    # Records of a step's edge, between two regular ones, pair the current of one step with the voltage of the other.
+    interval_s = np.diff(columns["time_s"][kept])
+    if kept.size > 1:
+        edge = np.concatenate([[False], interval_s < min(EDGE_S, float(np.median(interval_s)) / 3)])
+        if edge.any():
+            warnings.append(f"{path.name}: {np.count_nonzero(edge)} rows at the edge of a step left out")
+        kept = kept[~edge]
+    if kept.size < 3:
         raise ConfigError(path, expected="at least three rows at different times")
-    return {name: column[new] for name, column in columns.items()}
+    return {name: column[kept] for name, column in columns.items()}
 
 
 def _mean_over_preceding(current_A: Array, hold: Hold) -> Array:
@@ -141,12 +179,17 @@ def _mean_over_preceding(current_A: Array, hold: Hold) -> Array:
     return {"preceding": current_A, "following": previous, "trapezoid": (previous + current_A) / 2}[hold]
 
 
-def _until_gap(recording: Recording, *, counted: bool) -> Recording:
-    """Cut before the first long interval in which nobody knows what flowed."""
-    resting = np.abs(recording.current_A) <= REST_A * np.abs(recording.current_A).max()
-    at_rest = resting & np.concatenate([[True], resting[:-1]])
-    unknown = (recording.step_s > max(GAP_S, 20 * float(np.median(recording.step_s)))) & ~at_rest
-    if counted or not unknown.any():
+def _until_gap(recording: Recording, *, restarts: bool) -> Recording:
+    """Cut before the first gap under current in which nobody knows what flowed; nothing flows where it starts anew."""
+    at_rest = recording.at_rest
+    if restarts:
+        anew = recording.after_gap & at_rest
+        recording.drawn_Ah -= np.cumsum(np.where(anew, recording.current_A * recording.step_s, 0.0)) / 3600
+        recording.current_A[anew] = 0.0
+    else:
+        at_rest = at_rest & np.concatenate([[True], at_rest[:-1]])
+    unknown = recording.after_gap & ~at_rest
+    if not unknown.any():
         return recording
     row = int(np.argmax(unknown))
     gap_s = recording.step_s[row]

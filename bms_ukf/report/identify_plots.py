@@ -13,14 +13,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bms_ukf.identify import Identified
+from bms_ukf.identify import Identified, uncertainty
+from bms_ukf.identify.ocv import SOC as MEASURED_SOC
 from bms_ukf.identify.openloop import Prediction
+from bms_ukf.identify.tables import SOC as TABLE_SOC
 from bms_ukf.report.plots import ESTIMATE, STYLE, TRUTH, envelope
 
 Array = NDArray[np.float64]
 
 SOC = np.linspace(0, 1, 401)
 MOST_TRACES = 8
+MOST_NAMED = 10  # in a legend
+MOST_SPREAD = 2.0  # of a logarithm: a table no test has seen must not set the scale for the others
 
 
 @dataclass(slots=True, frozen=True)
@@ -52,14 +56,15 @@ def _colour(rank: int, count: int) -> tuple[float, float, float, float]:
 def _ocv(found: Identified, figure: Figure) -> None:
     curve, slope = figure.subplots(1, 2)
     temperatures = found.cell.ocv.temperature_degC
+    sigmas_V = uncertainty.ocv_V(found.model, found.slow)
     for rank, temperature in enumerate(temperatures):
         voltage_V = found.cell.ocv_V(SOC, temperature)
         colour = _colour(rank, len(temperatures))
         curve.plot(100 * SOC, voltage_V, color=colour, label=f"{temperature:g} °C")
+        sigma_V = np.interp(SOC, MEASURED_SOC, sigmas_V[rank])
+        curve.fill_between(100 * SOC, voltage_V - sigma_V, voltage_V + sigma_V, color=colour, alpha=0.25, linewidth=0)
         slope.plot(100 * SOC, 10 * np.gradient(voltage_V, SOC), color=colour)
     measured = found.slow.at(25.0)
-    from bms_ukf.identify.ocv import SOC as MEASURED_SOC
-
     curve.plot(100 * MEASURED_SOC, measured, color=TRUTH, linestyle=":", label="slow test")
     curve.set(title="Open-circuit voltage", xlabel="SoC [%]", ylabel="OCV [V]")
     slope.set(title="Its slope", xlabel="SoC [%]", ylabel="dOCV/dSoC [mV/%]", yscale="log")
@@ -73,13 +78,16 @@ def _tables(found: Identified, figure: Figure) -> None:
         shown += [(f"r{j + 1}_ohm", f"r{j + 1} [mΩ]", 1e3), (f"tau{j + 1}_s", f"tau{j + 1} [s]", 1.0)]
     if found.cell.hysteresis is not None:
         shown.append(("hysteresis_V", "hysteresis [mV]", 1e3))
+    sigmas = uncertainty.tables(found.model)
     panels = figure.subplots((len(shown) + 1) // 2, 2, squeeze=False)
     for axes, (key, label, factor) in zip(panels.flat, shown, strict=False):
         for rank, temperature in enumerate(dynamics.temperature_degC):
             values = factor * found.cell.dynamics_at(SOC, temperature)[key]
-            axes.plot(
-                100 * SOC, values, color=_colour(rank, len(dynamics.temperature_degC)), label=f"{temperature:g} °C"
-            )
+            colour = _colour(rank, len(dynamics.temperature_degC))
+            axes.plot(100 * SOC, values, color=colour, label=f"{temperature:g} °C")
+            if key in sigmas:
+                spread = np.exp(np.interp(SOC, TABLE_SOC, np.minimum(sigmas[key][rank], MOST_SPREAD)))
+                axes.fill_between(100 * SOC, values / spread, values * spread, color=colour, alpha=0.15, linewidth=0)
         axes.set(ylabel=label, yscale="linear" if key == "hysteresis_V" else "log")
     for axes in panels.flat[len(shown) :]:
         axes.set_visible(False)
@@ -103,7 +111,7 @@ def _errors(found: Identified, figure: Figure) -> None:
                     label=prediction.name,
                 )
         axes.set(title=f"Errors of the tests to {use}", xlabel="predicted minus measured [mV]", yticks=[])
-        if found.predictions[use]:
+        if 0 < len(found.predictions[use]) <= MOST_NAMED:
             axes.legend(fontsize=7)
 
 
@@ -131,7 +139,17 @@ def _trace(voltage: Axes, error: Axes, use: str, prediction: Prediction) -> None
 
 
 PLOTS = (
-    IdentifyPlot("ocv", "Open-circuit voltage and its slope by temperature; dotted: the slow test alone.", _ocv, 3.6),
-    IdentifyPlot("tables", "Tables of the cell file over SoC, from cold (dark) to warm (light).", _tables, 9.0),
+    IdentifyPlot(
+        "ocv",
+        "Open-circuit voltage with one standard error, and its slope, by temperature; dotted: the slow test alone.",
+        _ocv,
+        3.6,
+    ),
+    IdentifyPlot(
+        "tables",
+        "Tables of the cell file over SoC with one standard error, from cold (dark) to warm (light).",
+        _tables,
+        9.0,
+    ),
     IdentifyPlot("errors", "Distribution of the voltage error between 10 and 90 % SoC, test by test.", _errors, 3.4),
 )

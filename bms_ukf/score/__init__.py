@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bms_ukf import metrics
+from bms_ukf import measured, metrics
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.manifest import Manifest
@@ -60,7 +60,7 @@ def score(
     nominal: dict[tuple[str, str], Columns] = {}
     for test in scored:
         progress(f"scoring {Path(test.file).name}")
-        recording = recorded.load(path, tests, test)
+        recording = measured.load(path, tests, test)
         if test.use == "fit" and recording.soc_ref is None:
             continue
         name = recording.name if files[Path(test.file).name] == 1 else test.file

@@ -3,9 +3,9 @@
 The cases are those of the blind benchmark of McMaster University (Kollmeyer et al., ITEC 2022), and a start-up case.
 What an estimator is told of SoC has the same sigma in all of them: it cannot know which case it is in.
 
-The benchmark puts an hour of the first sample before each of its recordings. Ours are cut in the middle of a drive where
-the benchmark's were made to begin at rest: an hour of such a sample would be a load that never was, or a rest after
-which the voltage had not risen. So there is no such hour, and every row from the cut on counts.
+The benchmark puts an hour of the first sample before each of its recordings. Ours are cut in the middle of a drive
+where the benchmark's were made to begin at rest: an hour of such a sample would be a load that never was, or a rest
+after which the voltage had not risen. So there is no such hour, and every row from the cut on counts.
 """
 
 from __future__ import annotations

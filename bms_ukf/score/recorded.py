@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import manifest
 from bms_ukf.errors import ConfigError
-from bms_ukf.manifest import Manifest, MeasuredTest
+from bms_ukf.manifest import MeasuredTest
 from bms_ukf.offline.signals import Signals
-from bms_ukf.recordings import Recording, estimate_voltage_lag_s, read, require_sign, resample
+from bms_ukf.recordings import Recording, resample
 
 Array = NDArray[np.float64]
 
@@ -34,25 +32,8 @@ class Recorded:
     def start_soc(self) -> float:
         """SoC at the first row, by the manifest or the reference."""
         known = np.flatnonzero(np.isfinite(self.soc_ref))
-        return float(self.soc_ref[known[0]]) if self.test.initial_soc is None else self.test.initial_soc
-
-
-def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
-    """A test of the manifest at `path`: sign checked, voltage lag removed, leading soak cut."""
-    sign = test.current_positive or tests.current_positive
-    recording = read(
-        manifest.find(path, test.file),
-        current_positive=sign,
-        current_hold=test.current_hold,
-        temperature_degC=test.temperature_degC,
-    )
-    require_sign(recording, sign)
-    lag_s = estimate_voltage_lag_s(recording) if test.voltage_lag_s == "estimate" else test.voltage_lag_s
-    if lag_s:
-        recording = recording.with_voltage_lag(lag_s)
-    # Hours of soak before the load would be scored as hours without an error.
-    loaded = np.abs(recording.current_A) > 0.01 * np.abs(recording.current_A).max()
-    return recording.rows(slice(max(int(np.argmax(loaded)) - 1, 0), None))
+        told = self.test.initial_soc
+        return float(self.soc_ref[known[0]]) if told is None or told == "rest" else told
 
 
 def sample(recording: Recording, test: MeasuredTest, name: str) -> Recorded:

@@ -4,7 +4,7 @@
 |---|---|
 | `manifest`, `cell`, `capacity_Ah` | what was scored |
 | `weights` | of each group that the recordings fill, renormalised to a sum of 1 |
-| `missing` | what of the benchmark they do not fill; an initial SoC needs a drive that comes by it, and some minutes after |
+| `missing` | what of the benchmark they do not fill; an initial SoC needs a drive that comes by it |
 | `offsets_c_rate` | each current offset, A, as a share of the capacity per hour |
 | `estimators` | by name (`srukf`: ours, `ekf`, `coulomb`), see below |
 | `outcomes` | every run: `estimator, recording, role, group, temperature_degC, use, kind, value, case`, and `figures` |

@@ -1,0 +1,58 @@
+"""Open-circuit voltage somebody else has made: a table of it over SoC, or the electrodes of a BPX file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bms_ukf import bpx, manifest
+from bms_ukf.errors import ConfigError
+from bms_ukf.identify import ocv
+from bms_ukf.manifest import MeasuredTest
+from bms_ukf.recordings import Selection, read_columns
+
+REQUIRED = ("soc_ref", "voltage_V")
+FEWEST_ROWS = 8
+WIDEST_GAP = 0.1  # SoC between rows: more is drawn over, and named
+
+
+def load(path: Path, test: MeasuredTest) -> tuple[ocv.Curve, list[str]]:
+    """The curve of a test of the manifest at `path`, and warnings. Raises ConfigError if it is none.
+
+    Columns: SoC as a fraction (or in percent, if its header says so), voltage, and perhaps half the hysteresis.
+    """
+    file = manifest.find(path, test.file)
+    if file.suffix == ".json":
+        found = dict(zip(REQUIRED, bpx.open_circuit(file), strict=True))
+    else:
+        found = read_columns(file, Selection(test.columns.named(), test.where), REQUIRED)
+    soc, voltage_V = (found[key] for key in REQUIRED)
+    half_V = found.get("hysteresis_V")
+    known = np.isfinite(soc) & np.isfinite(voltage_V) & (True if half_V is None else np.isfinite(half_V))
+    warnings = []
+    if not known.all():
+        warnings.append(f"{file.name}: {np.count_nonzero(~known)} of {known.size} rows without a number left out")
+    order = np.flatnonzero(known)[np.argsort(soc[known], kind="stable")]
+    soc, voltage_V = soc[order], voltage_V[order]
+    if soc.size < FEWEST_ROWS or soc[0] < -0.5 or soc[-1] > 1.5 or np.ptp(soc) < 0.5:
+        seen = f"{soc.size} rows from {soc[0]:g} to {soc[-1]:g}" if soc.size else "no rows"
+        expected = f"at least {FEWEST_ROWS} rows over most of 0..1 (or percent, with % in the header)"
+        raise ConfigError(file, key="soc", value=seen, expected=expected)
+    if np.corrcoef(soc, voltage_V)[0, 1] < 0.5:
+        raise ConfigError(file, key="voltage_V", expected="an open-circuit voltage that rises with SoC")
+    warnings += [f"{file.name}: {text}" for text in _about_reach(soc)]
+    inside = (soc > -0.02) & (soc < 1.02)
+    curve_V, sigma_V = ocv.rising(soc[inside], voltage_V[inside])
+    half = None if half_V is None else np.maximum(np.interp(ocv.SOC, soc, half_V[order]), 0.0)
+    return ocv.Curve(test.temperature_degC, curve_V, sigma_V, half, 0.0, ("table",)), warnings
+
+
+def _about_reach(soc: ocv.Array) -> list[str]:
+    warnings = []
+    if soc[0] > 0.05 or soc[-1] < 0.95:
+        warnings.append(f"covers SoC {soc[0]:.2f} to {soc[-1]:.2f} only")
+    widest = int(np.argmax(np.diff(soc)))
+    if soc[widest + 1] - soc[widest] > WIDEST_GAP:
+        warnings.append(f"nothing between SoC {soc[widest]:.2f} and {soc[widest + 1]:.2f}")
+    return warnings
