@@ -6,41 +6,27 @@ current positive on discharge, SoC from 0 to 1, and NaN for what is not availabl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from cantools.database.can import Message, Signal
+from cantools.database.can import Message
 
 from bms_ukf.dbc import Extract, Field, Matrix, own_matrix
 from bms_ukf.errors import ConfigError
 from bms_ukf.frames import Frame, Inbox, Outbox, Pages, Read
 from bms_ukf.records import NAN, Estimate, PerCell, Sample, Status
+from bms_ukf.signals import Bound, SignalMap, bind
 
 
-@dataclass(frozen=True, slots=True)
-class SignalMap:
-    """Which signal, as "Message.Signal", plays which role."""
+@dataclass(slots=True)
+class Contactor:
+    """What was last heard of the contactors."""
 
-    current: str
-    current_positive: Literal["charge", "discharge"]
-    cell_voltage: Sequence[str] = ()  # one a cell, in order
-    pack_voltage: str | None = None  # in place of cell_voltage: the string is estimated as one mean cell
-    series_cells: int = 1  # how many cells pack_voltage is the sum of
-    temperature: Sequence[str] = ()  # one for all cells, or one a cell
-    not_available: Mapping[str, Sequence[int]] = field(default_factory=dict)  # raw values the DBC does not name
-
-    @classmethod
-    def default(cls, cells: int = 1) -> SignalMap:
-        """The messages of the project's own DBC, with the first temperature sensor for all cells."""
-        return cls(
-            current="PackMeasurement.PackCurrent",
-            current_positive="discharge",
-            cell_voltage=[f"CellVoltages.Cell{k + 1}" for k in range(cells)],
-            temperature=["CellTemperatures.Sensor1"],
-        )
+    is_open: bool = False
+    t_ns: int | None = None  # when that was; None: never, or the signal said that it does not know
 
 
 class Decoder(Inbox[Sample]):
@@ -59,13 +45,15 @@ class Decoder(Inbox[Sample]):
         source: str | Path = "signals",
     ) -> None:
         """`source` is the file to be named in a ConfigError, raised if the map does not fit the DBC or the cells."""
-        bound = _bind(signals or SignalMap.default(cells), matrix or own_matrix(), cells, source)
+        signals = signals or SignalMap.default(cells)
+        self.bound = bound = bind(signals, matrix or own_matrix(), cells, source)
+        self.contactor = Contactor()
         sensors = sum(b.role == "temperature" for b in bound)
         reads: dict[Message, Read[Sample]] = {}
         for message in dict.fromkeys(b.message for b in bound):
             here = [b for b in bound if b.message is message]
-            reads[message] = _reader(message, here, cells, max(sensors, 1), source)
-        super().__init__(reads)
+            reads[message] = _reader(message, here, self.contactor, cells, max(sensors, 1), source)
+        super().__init__(reads, signals.e2e)
 
 
 class Encoder:
@@ -145,62 +133,27 @@ def _of_cell(k: int, values: PerCell) -> float:
     return values if isinstance(values, float) else float(values[k])
 
 
-@dataclass(frozen=True, slots=True)
-class _Bound:
-    """A signal bound to its role."""
-
-    role: Literal["current", "voltage", "temperature"]
-    index: int  # of the cell or sensor, from 0
-    message: Message
-    signal: Signal
-    extract: Extract
-
-
-def _bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path) -> list[_Bound]:
-    def bound(role: Literal["current", "voltage", "temperature"], key: str, k: int, name: str, factor: float) -> _Bound:
-        message, signal = matrix.find(name, source=source, key=f"signals.{key}")
-        codes = signals.not_available.get(name, ())
-        return _Bound(role, k, message, signal, Field(message, signal, codes).extract(factor))
-
-    key, voltages = "cell_voltage", signals.cell_voltage
-    if signals.pack_voltage is not None:
-        key, voltages = "pack_voltage", [signals.pack_voltage]
-    if len(voltages) != cells:
-        expected = f"one signal for each of {cells} cells"
-        raise ConfigError(source, key=f"signals.{key}", value=list(voltages), expected=expected)
-    if len(signals.temperature) not in {0, 1, cells}:
-        raise ConfigError(
-            source,
-            key="signals.temperature",
-            value=list(signals.temperature),
-            expected=f"one signal, or one for each of {cells} cells",
-        )
-    for name in signals.not_available.keys() - {signals.current, *voltages, *signals.temperature}:
-        expected = "a signal that has a role in [signals]"
-        raise ConfigError(source, key="signals.not_available", value=name, expected=expected)
-    sign = -1.0 if signals.current_positive == "charge" else 1.0
-    return [
-        bound("current", "current", 0, signals.current, sign),
-        *(bound("voltage", key, k, name, 1.0 / signals.series_cells) for k, name in enumerate(voltages)),
-        *(bound("temperature", "temperature", k, name, 1.0) for k, name in enumerate(signals.temperature)),
-    ]
-
-
-def _reader(message: Message, bound: list[_Bound], cells: int, sensors: int, source: str | Path) -> Read[Sample]:
+def _reader(
+    message: Message, bound: list[Bound], contactor: Contactor, cells: int, sensors: int, source: str | Path
+) -> Read[Sample]:
     """The function from a payload of `message` to a sample, by way of its multiplexer if it has one."""
+
+    def page_reader(bound: list[Bound]) -> Read[Sample]:
+        return _page_reader(bound, contactor, cells, sensors)
+
     multiplexers = {b.signal.multiplexer_signal for b in bound} - {None}
     if not multiplexers:
-        return _page_reader(bound, cells, sensors)
+        return page_reader(bound)
     multiplexer = message.get_signal_by_name(str(multiplexers.pop()))
     if multiplexers or multiplexer.multiplexer_signal is not None:
         raise ConfigError(source, key="signals", value=message.name, expected="messages with one level of multiplexing")
     select = Field(message, multiplexer).raw()
     always = [b for b in bound if b.signal.multiplexer_ids is None]
     pages = {
-        page: _page_reader([b for b in bound if page in (b.signal.multiplexer_ids or (page,))], cells, sensors)
+        page: page_reader([b for b in bound if page in (b.signal.multiplexer_ids or (page,))])
         for page in {page for b in bound for page in b.signal.multiplexer_ids or ()}
     }
-    other = _page_reader(always, cells, sensors) if always else _nothing
+    other = page_reader(always) if always else _nothing
 
     def read(data: bytes, t_ns: int) -> Sample | None:
         return pages.get(select(data), other)(data, t_ns)
@@ -208,8 +161,10 @@ def _reader(message: Message, bound: list[_Bound], cells: int, sensors: int, sou
     return read
 
 
-def _page_reader(bound: list[_Bound], cells: int, sensors: int) -> Read[Sample]:
+def _page_reader(bound: list[Bound], contactor: Contactor, cells: int, sensors: int) -> Read[Sample]:
     """The function from a payload to a sample made once, in which only what the page carries is ever set."""
+    measured = [b for b in bound if b.role != "contactor"]
+    switch = next((b.extract for b in bound if b.role == "contactor"), None)
     current = next((b.extract for b in bound if b.role == "current"), None)
     voltage = _gather({b.index: b.extract for b in bound if b.role == "voltage"}, cells)
     temperature = _gather({b.index: b.extract for b in bound if b.role == "temperature"}, sensors)
@@ -225,7 +180,13 @@ def _page_reader(bound: list[_Bound], cells: int, sensors: int) -> Read[Sample]:
             sample.temperature_degC = temperature(data)
         return sample
 
-    return read
+    def read_switch(data: bytes, t_ns: int) -> Sample | None:
+        if switch is not None:
+            state = switch(data)
+            contactor.is_open, contactor.t_ns = state == 1.0, None if math.isnan(state) else t_ns
+        return read(data, t_ns) if measured else None
+
+    return read if switch is None else read_switch
 
 
 def _gather(extracts: dict[int, Extract], count: int) -> Callable[[bytes], PerCell] | None:

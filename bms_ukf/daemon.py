@@ -1,6 +1,6 @@
 """The daemon: frames in, frames out, one line in between.
 
-    bus.recv -> codec.decode -> Sample -> Estimator.step -> Estimate -> codec.encode -> bus.send
+    bus.recv -> intake.take -> Sample -> Estimator.step -> Estimate -> codec.encode -> bus.send
 
 It does not end because of a frame, a full queue or a failing interface: it degrades, says so in what it publishes, and
 goes on when it can.
@@ -9,14 +9,16 @@ goes on when it can.
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from bms_ukf.bus import SafeBus
 from bms_ukf.clock import StampClock
-from bms_ukf.codec import Decoder, Encoder
+from bms_ukf.codec import Encoder
 from bms_ukf.estimator import Estimator
+from bms_ukf.intake import Intake
 from bms_ukf.records import Fault, Sample, Status
 
 FAULT_HOLD_NS = 1_000_000_000
@@ -49,13 +51,13 @@ class Daemon:
         self,
         bus: SafeBus,
         estimator: Estimator,
-        decoder: Decoder,
+        intake: Intake,
         *,
         clock: Clock | None = None,
         silence_s: float = 2.0,
     ) -> None:
         """`clock` times the frames (None: a `StampClock`); `silence_s` after the last answer a prediction is sent."""
-        self.bus, self.estimator, self.decoder = bus, estimator, decoder
+        self.bus, self.estimator, self.intake = bus, estimator, intake
         self.encoder = Encoder(estimator.cells)
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
@@ -79,26 +81,28 @@ class Daemon:
             return False
         t_ns = self._clock.at(message.timestamp)
         classic = not (message.is_remote_frame or message.is_error_frame or message.is_fd)
-        sample = self.decoder.decode(
-            message.arbitration_id, message.is_extended_id, bytes(message.data), t_ns, classic=classic
-        )
-        if sample is not None:
+        data = bytes(message.data)
+        self._handle(self.intake.take(message.arbitration_id, message.is_extended_id, data, t_ns, classic=classic))
+        self._break_silence(t_ns)
+        return True
+
+    def _handle(self, samples: Sequence[Sample]) -> None:
+        for sample in samples:
             self.estimator.step(sample, out=self.estimate)
             self._passed |= self.estimate.faults & PASSING
             if _closes_scan(sample):
-                self._publish(t_ns)
-        self._break_silence(t_ns)
-        return True
+                self._publish(sample.t_ns + self.intake.behind_ns)
 
     def _break_silence(self, t_ns: int) -> None:
         """Publish a prediction if nothing has been published for too long: silence must not look like a steady SoC."""
         if t_ns - self._published_ns >= self._silence_ns:
-            self.estimator.coast(t_ns, out=self.estimate)
+            self._handle(self.intake.due(t_ns))
+            self.estimator.coast(t_ns - self.intake.behind_ns, out=self.estimate)
             self._publish(t_ns)
 
     def _publish(self, t_ns: int) -> None:
         estimate = self.estimate
-        received = self.decoder.counters
+        received = self.intake.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self.bus.failures + received.lost)
         shown |= self._passed
         self._passed = Fault.NONE

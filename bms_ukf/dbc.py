@@ -129,13 +129,28 @@ class Field:
         order, shift, mask, from_bytes = self.order, self.shift, self.mask, int.from_bytes
         return lambda data: (from_bytes(data, order) >> shift) & mask
 
-    def extract(self, factor: float = 1.0) -> Extract:
-        """A function from the payload, exactly as long as the DBC says, to `factor` times the physical value.
+    def span(self) -> tuple[float, float]:
+        """The physical values of the lowest and the highest raw value that is a number; infinite for a float signal."""
+        if self.is_float:
+            return -math.inf, math.inf
+        numbers = [raw - 2 * (raw & self.sign) for raw in self._ends()]
+        return numbers[0] * self.scale + self.offset, numbers[1] * self.scale + self.offset
+
+    def _ends(self) -> tuple[int, int]:
+        low, high = (self.sign, self.sign - 1) if self.sign else (0, self.mask)
+        while low in self.codes and low != high:
+            low = (low + 1) & self.mask
+        while high in self.codes and low != high:
+            high = (high - 1) & self.mask
+        return low, high
+
+    def extract(self, factor: float = 1.0, plus: float = 0.0) -> Extract:
+        """A function from the payload, exactly as long as the DBC says, to the physical value * `factor` + `plus`.
 
         It returns NaN for the codes, and for a float signal that is not finite.
         """
         order, shift, mask, from_bytes = self.order, self.shift, self.mask, int.from_bytes
-        sign, scale, offset, codes = self.sign, self.scale * factor, self.offset * factor, self.codes
+        sign, scale, offset, codes = self.sign, self.scale * factor, self.offset * factor + plus, self.codes
 
         def unsigned(data: bytes) -> float:
             raw = (from_bytes(data, order) >> shift) & mask

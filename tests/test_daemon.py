@@ -26,6 +26,7 @@ from bms_ukf.codec import Decoder
 from bms_ukf.config import Bus
 from bms_ukf.daemon import FAULT_HOLD_NS, Daemon
 from bms_ukf.dbc import own_matrix
+from bms_ukf.intake import Intake
 from bms_ukf.node import EstimateDecoder, SampleEncoder
 
 SECOND_NS = 1_000_000_000
@@ -84,7 +85,7 @@ class Rig:
         self.estimator = Estimator(cell, cells)
         self.decoder = Decoder(cells=cells)
         options = {"clock": self.clock, "silence_s": SILENCE_S} | options
-        self.daemon = Daemon(self.bus, self.estimator, self.decoder, **options)
+        self.daemon = Daemon(self.bus, self.estimator, Intake(self.decoder), **options)
         self.encoder = SampleEncoder(cells)
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "bms_ukf"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-CODEC = {"codec", "dbc", "e2e", "frames"}
+CODEC = {"codec", "dbc", "e2e", "frames", "signals", "units"}
 
 # A module or subpackage, and all of ours that it may import. Those not named here join the parts, and are checked only
 # for cycles; nothing named here can import them.
