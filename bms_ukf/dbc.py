@@ -6,6 +6,7 @@ import difflib
 import functools
 import math
 import struct
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
@@ -54,6 +55,20 @@ class Matrix:
         self._suspect.update(messages)
         return messages
 
+    def sound(self) -> list[Message]:
+        """The messages that do not contradict themselves, and whose name no other one has."""
+        names = Counter(message.name for message in self._messages)
+        return [message for message in self._messages if names[message.name] == 1 and self._fault(message) is None]
+
+    def _fault(self, message: Message) -> Error | None:
+        """What is wrong with the layout of a message, if anything."""
+        if message in self._suspect:
+            try:
+                message.refresh(strict=True)
+            except Error as error:
+                return error
+        return None
+
     def message(self, name: str, *, source: str | Path | None = None, key: str | None = None) -> Message:
         """The message called `name`. ConfigError if there is none, or more than one, or it contradicts itself."""
         found = [message for message in self._messages if message.name == name]
@@ -62,11 +77,8 @@ class Matrix:
             near = _nearest(name, [message.name for message in self._messages])
             expected = f"the name of one message of {self._source}{near}" + (", not of several" if found else "")
             raise ConfigError(source, key=key, value=name, expected=expected)
-        if found[0] in self._suspect:
-            try:
-                found[0].refresh(strict=True)
-            except Error as error:
-                raise ConfigError(source, key=key, value=name, expected=f"a sound layout ({error})") from None
+        if (fault := self._fault(found[0])) is not None:
+            raise ConfigError(source, key=key, value=name, expected=f"a sound layout ({fault})")
         return found[0]
 
     def find(self, path: str, *, source: str | Path | None = None, key: str | None = None) -> tuple[Message, Signal]:

@@ -49,7 +49,7 @@ class SignalMap:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """A signal bound to its role. Limits and bit are in the project's unit and sign; of a float, the limits are infinite."""
+    """A signal bound to its role. Limits and bit are in the project's unit and sign; a float has infinite limits."""
 
     role: Role
     index: int  # of the cell or sensor, from 0

@@ -44,5 +44,5 @@ def conversion(quantity: Quantity, unit: str) -> Conversion | None:
 
 
 def known(quantity: Quantity) -> str:
-    """The units of a quantity, for a message."""
-    return ", ".join(_KNOWN[quantity])
+    """The units of a quantity, for a message; each may be written in other ways, too."""
+    return {"current": "A, mA, kA, uA", "voltage": "V, mV, kV, uV", "temperature": "degC, K, degF"}[quantity]

@@ -37,6 +37,14 @@ MAY_IMPORT = {
     "identify": {"cell", "errors", "identify", "manifest", "pchip", "recordings", "toml"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
+    "scaling": {"cell"},
+    "zero_current": set(),
+    "alignment": {"records"},
+    "intake": {"alignment", "codec", "frames", "records", "zero_current"},
+    "e2e_settings": {"dbc", "e2e", "errors", "toml"},
+    "candidates": {"dbc", "units"},
+    "skeleton": {"candidates", "dbc", "units"},
+    "socketcan": set(),
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {
@@ -44,9 +52,9 @@ KNOWN_TO = {
     "pyarrow": {"recordings"},
     "llvmlite": {"kernel"},
     "fmpy": {"fmu", "plant"},
-    "cantools": CODEC,
+    "cantools": CODEC | {"candidates", "skeleton"},
     "fastcrc": {"e2e"},
-    "can": {"bus", "cosim", "daemon", "links"},
+    "can": {"bus", "cosim", "links", "socketcan"},
     "click": {"cli"},
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.

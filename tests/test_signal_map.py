@@ -242,7 +242,7 @@ def test_a_stated_unit_overrules_the_dbc(units) -> None:
     ("change", "told"),
     [
         ({"current": "V.MilliVolt"}, r"signals is 'V.MilliVolt'; expected a current, but its unit in the DBC is 'mV'"),
-        ({"unit": {"U.Milli": "mV"}}, r"signals.unit is 'mV'; expected a unit of current: a, "),
+        ({"unit": {"U.Milli": "mV"}}, r"signals.unit is 'mV'; expected a unit of current: A, mA"),
         ({"unit": {"U.Kilo": "A"}}, r"signals.unit is 'U.Kilo'; expected a signal that has a role"),
         ({"plausible": {"U.Milli": [5.0, 5.0]}}, r"signals.plausible is \[5.0, 5.0\]; expected \[lowest, highest\]"),
         ({"contactor": "V.Main", "contactor_open": ["opened"]}, r"'opened'; expected raw values .* or open, closed"),
