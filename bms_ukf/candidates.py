@@ -20,9 +20,9 @@ _NAMED: dict[Quantity, re.Pattern[str]] = {
     "temperature": re.compile(r"temp|(?:^|_)t_|tbat|warm"),
 }
 _OTHER = re.compile(
-    r"limit|target|req|avail|motor|12v|(?:^|_)lv|coil|debug|dbg|aux|phase|hvac|ptc|dcdc|reg_|reg[A-Z]|fan|pump|thresh|inv"
+    r"limit|target|req|avail|motor|12v|(?:^|_)lv|coil|debug|dbg|aux|phase[0-9]|hvac|ptc|dcdc|reg_|reg[A-Z]|fan|pump|thresh|inv"
     r"|igbt|link|plug|inlet|ambient|cabin|coolant|oil|duct|front|rear|steer|brake|seat|obc|charger|hist|deviat|offset"
-    r"|fc[A-Z]|_fc|mux|wake|hvil|cable|shunt|dissip|flow|start|reserve|vcfront|vcright|vcleft|pcs"
+    r"|fc[A-Z]|_fc|mux|hvil|cable|shunt|dissip|flow|start|reserve|vcfront|vcright|vcleft|pcs"
 )
 _EXTREME = re.compile(r"max|min|high|low")
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)")

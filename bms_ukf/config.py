@@ -10,8 +10,8 @@ from pydantic import Field, ValidationError, model_validator
 from bms_ukf import resources, toml
 from bms_ukf.alignment import Alignment
 from bms_ukf.cell import CellParams
-from bms_ukf.codec import Decoder
 from bms_ukf.dbc import Matrix
+from bms_ukf.decoder import Decoder
 from bms_ukf.e2e_settings import E2e
 from bms_ukf.errors import ConfigError
 from bms_ukf.intake import Intake
@@ -31,6 +31,8 @@ class Bus(toml.Section):
     interface: Text
     channel: Text
     bitrate: Annotated[int, Field(gt=0)] | None = None  # SocketCAN takes it from `ip link`, others need it here
+    fd: bool = False  # CAN FD frames are read, too
+    receive_buffer_bytes: Annotated[int, Field(ge=4096, le=1 << 28)] = 1 << 20  # of SocketCAN; some 900 a frame
     options: dict[str, Any] = Field(default_factory=dict)  # further arguments of that python-can interface
 
 
@@ -78,6 +80,9 @@ class Config(toml.Document):
     capacity_scale: Scale = 1.0  # a cell of the same family, so many times as large
     resistance_scale: Scale | None = None  # None: 1 / capacity_scale
     silence_s: Annotated[float, Field(gt=0)] = 2.0  # without input for so long, a prediction is published instead
+    transmit: Literal["on_update", "periodic"] = "on_update"  # after each scan of the voltages, or every period_s
+    period_s: Annotated[float, Field(ge=0.005, le=10)] = 0.1
+    soc_slew_per_s: Annotated[float, Field(gt=0, le=1)] = 0.001  # how fast SocSlewed may be corrected
     bus: Bus
     signals: Signals | None = None
     estimator: Tuning = Field(default_factory=Tuning)

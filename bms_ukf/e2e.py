@@ -148,8 +148,8 @@ class Profile:
             n = counter(data) if values > 1 and counter is not None else 0
             if n >= values:
                 return False
-            value = register(data[high], register(data[low], starts[n % len(starts)]))
-            return register(after[n % len(after)], value) ^ xor_out == int.from_bytes(data[at:end], order)
+            covered = data[low] + data[high] + after[n % len(after)]
+            return register(covered, starts[n % len(starts)]) ^ xor_out == int.from_bytes(data[at:end], order)
 
         return check
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bms_ukf.alignment import Alignment
-from bms_ukf.codec import Decoder
+from bms_ukf.decoder import Decoder
 from bms_ukf.frames import Counters
 from bms_ukf.records import Sample
 from bms_ukf.zero_current import ZeroCurrent

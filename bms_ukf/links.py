@@ -10,9 +10,9 @@ import can
 
 from bms_ukf.bus import SafeBus, open_bus
 from bms_ukf.clock import LockstepClock
-from bms_ukf.codec import Decoder
 from bms_ukf.config import Bus
 from bms_ukf.daemon import Daemon
+from bms_ukf.decoder import Decoder
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake

@@ -42,6 +42,8 @@ def propose(paths: Sequence[Path], out: Path | None = None) -> tuple[str, list[s
         'cell = "lgm50_chen2020"          # FILL IN: your cell file, or a shipped cell of the same chemistry, and then',
         "# capacity_scale = 1.0           # how many times as large your cell (or those in parallel) is",
         f"cells = {cells}",
+        'transmit = "periodic"            # or "on_update": after every scan of the voltages, however fast they come',
+        "period_s = 0.1",
         "",
         "[bus]",
         'interface = "socketcan"',

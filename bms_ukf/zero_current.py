@@ -19,6 +19,11 @@ class ZeroCurrent:
         self._limit_A, self._readings = limit_A, 0
         self._open_ns: int | None = None
 
+    @property
+    def known(self) -> bool:
+        """Whether there was a reading with open contactors."""
+        return self._readings > 0
+
     def corrected(self, current_A: float, t_ns: int, is_open: bool, heard_ns: int | None) -> float:
         """The current without the offset, in the sign of `current_A`; `heard_ns` is when the contactors said so."""
         if heard_ns is None or t_ns - heard_ns > HEARD_NS or not is_open:

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from bms_ukf import Estimator
-from bms_ukf.codec import Decoder, Encoder
 from bms_ukf.dbc import Matrix
+from bms_ukf.decoder import Decoder
 from bms_ukf.e2e import Crc, Profile
+from bms_ukf.encoder import Encoder
 from bms_ukf.errors import ConfigError
 from bms_ukf.frames import Outbox
 from bms_ukf.node import SampleEncoder

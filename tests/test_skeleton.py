@@ -127,7 +127,7 @@ def vehicles() -> Path:
             {
                 "current": "x1DB.LB_Current",
                 "pack_voltage": "x1DB.LB_Total_Voltage",
-                "temperature": ["x5C0.LB_HistData_Temperature_AVG"],
+                "temperature": ["x5C0.LB_HistData_Temp_WakeupPhase_AVG"],
             },
             1,
         ),

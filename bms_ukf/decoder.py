@@ -1,8 +1,4 @@
-"""The estimator's side of the bus: received frames to `Sample`s, `Estimate`s to frames.
-
-Signs, units and scales are converted here and nowhere else: on the wire as the DBC and the signal map say, inside with
-current positive on discharge, SoC from 0 to 1, and NaN for what is not available.
-"""
+"""The way in: received frames to samples, with signs, units and scales as the DBC and the signal map say."""
 
 from __future__ import annotations
 
@@ -16,8 +12,8 @@ from cantools.database.can import Message
 
 from bms_ukf.dbc import Extract, Field, Matrix, own_matrix
 from bms_ukf.errors import ConfigError
-from bms_ukf.frames import Frame, Inbox, Outbox, Pages, Read
-from bms_ukf.records import NAN, Estimate, PerCell, Sample, Status
+from bms_ukf.frames import Inbox, Read
+from bms_ukf.records import NAN, PerCell, Sample
 from bms_ukf.signals import Bound, SignalMap, bind
 
 
@@ -54,83 +50,6 @@ class Decoder(Inbox[Sample]):
             here = [b for b in bound if b.message is message]
             reads[message] = _reader(message, here, self.contactor, cells, max(sensors, 1), source)
         super().__init__(reads, signals.e2e)
-
-
-class Encoder:
-    """Turns estimates into frames.
-
-    `accepted` is how many samples the estimator has accepted so far: the alive counter of a message stands still while
-    that number does, so an estimator that has stopped cannot look alive. Values beyond the DBC's limits are sent as the
-    limit; SoC and sigma are sent as not available unless the status is `OK` or `DEGRADED`. Nothing here raises.
-    """
-
-    def __init__(self, cells: int = 1) -> None:
-        matrix = own_matrix()
-
-        def field_of(name: str) -> Field:
-            return Field(*matrix.find(name))
-
-        self._soc_box = Outbox(matrix.message("SocEstimate"))
-        self._status_shift = field_of("SocEstimate.Status").shift
-        self._soc = field_of("SocEstimate.Soc").insert(0.01)
-        self._sigma = field_of("SocEstimate.SocSigma").insert(0.01)
-        self._age = field_of("SocEstimate.InformationAge").insert()
-
-        self._quality_box = Outbox(matrix.message("SocQuality"))
-        self._worst_cell_shift = field_of("SocQuality.WorstCell").shift
-        self._voltage_pred = field_of("SocQuality.PredictedVoltage").insert()
-        self._innovation = field_of("SocQuality.Innovation").insert()
-        self._nis = field_of("SocQuality.Nis").insert()
-
-        self._state_box = Outbox(matrix.message("BmsState"))
-        self._faults_shift = field_of("BmsState.FaultCurrentMissing").shift  # the others follow, as in records.Fault
-        self._soc_min = field_of("BmsState.SocMin").insert(0.01)
-        self._soc_max = field_of("BmsState.SocMax").insert(0.01)
-
-        self._cell_soc = Pages(matrix, "CellSoc", "Cell", cells, 0.01) if cells > 1 else None
-        self._next_page = 0
-
-    def encode(self, estimate: Estimate, accepted: int) -> list[Frame]:
-        """All that is published after a step: BmsState, SocQuality, SocEstimate; for a pack a page of CellSoc first."""
-        frames = [self.state(estimate, accepted), self.quality(estimate, accepted), self.soc(estimate, accepted)]
-        if self._cell_soc is not None:
-            soc = estimate.soc if estimate.status in _AVAILABLE else NAN
-            frames.insert(0, self._cell_soc.frame(self._next_page, soc, accepted))
-            self._next_page = (self._next_page + 1) % self._cell_soc.count
-        return frames
-
-    def soc(self, estimate: Estimate, accepted: int) -> Frame:
-        """SocEstimate: the mean SoC, the largest sigma and the largest age of the cells, and the status."""
-        soc, sigma, age = estimate.soc, estimate.soc_sigma, estimate.age_s
-        if not (isinstance(soc, float) and isinstance(sigma, float) and isinstance(age, float)):
-            soc, sigma, age = float(np.mean(soc)), float(np.max(sigma)), float(np.max(age))
-        if estimate.status not in _AVAILABLE:
-            soc = sigma = NAN
-        word = estimate.status << self._status_shift | self._soc(soc) | self._sigma(sigma) | self._age(age)
-        return self._soc_box.frame(word, accepted)
-
-    def quality(self, estimate: Estimate, accepted: int) -> Frame:
-        """SocQuality: innovation, NIS and predicted voltage of the cell with the largest NIS."""
-        nis = estimate.nis
-        worst = 0 if isinstance(nis, float) else int(np.argmax(np.nan_to_num(nis, nan=-1.0)))
-        word = (worst + 1) << self._worst_cell_shift
-        word |= self._voltage_pred(_of_cell(worst, estimate.voltage_pred_V))
-        word |= self._innovation(_of_cell(worst, estimate.innovation_V)) | self._nis(_of_cell(worst, nis))
-        return self._quality_box.frame(word, accepted)
-
-    def state(self, estimate: Estimate, accepted: int) -> Frame:
-        """BmsState: fault bits, lowest and highest SoC of the cells."""
-        soc = estimate.soc if estimate.status in _AVAILABLE else NAN
-        lowest, highest = (soc, soc) if isinstance(soc, float) else (float(np.min(soc)), float(np.max(soc)))
-        word = int(estimate.faults) << self._faults_shift | self._soc_min(lowest) | self._soc_max(highest)
-        return self._state_box.frame(word, accepted)
-
-
-_AVAILABLE = (Status.OK, Status.DEGRADED)
-
-
-def _of_cell(k: int, values: PerCell) -> float:
-    return values if isinstance(values, float) else float(values[k])
 
 
 def _reader(
