@@ -640,6 +640,21 @@ class Monotonic:
         return self.now_ns
 
 
+@given(gaps_ms=st.lists(st.integers(1, 4000), min_size=20, max_size=40))
+@settings(max_examples=20)
+def test_charge_is_counted_over_the_time_between_frames_and_not_per_frame(cell, gaps_ms):
+    """Frames as they come, at any intervals below current_timeout_s: no polling period is assumed."""
+    with rig_of(cell) as rig:
+        rig.feed(Sample(0, 0.0, 3.8, 25.0))
+        start, t_ns = rig.daemon.estimate.soc, 0
+        for gap_ms in gaps_ms:
+            t_ns += gap_ms * 1_000_000
+            rig.clock.set(t_ns)
+            rig.send(message(*rig.encoder.pack(Sample(t_ns, current_A=3.0, voltage_V=3.8))))
+        moved = 3.0 * t_ns * 1e-9 / 3600 / cell.cell.capacity_Ah
+        assert start - rig.daemon.estimate.soc == pytest.approx(moved, abs=1e-6)
+
+
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
 def test_setting_the_wall_clock_moves_no_charge(cell, monkeypatch, step_s, samples):
     monotonic = Monotonic()
