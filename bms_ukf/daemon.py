@@ -72,9 +72,8 @@ class Daemon:
         self._clock: Clock = clock or StampClock()
         self._scan = Scan(estimator.cells)
         self._periodic, self._fd = period_s is not None, fd
-        self._due_after_ns = (
-            round(1e9 * (silence_s if period_s is None else period_s)) if silence_s < math.inf else None
-        )
+        due_after_s = silence_s if period_s is None else period_s
+        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
         self._published_ns = self._health_ns = 0
         self._stepped = False  # since the last set
         self._refused = _Recent(Fault.E2E)

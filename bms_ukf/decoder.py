@@ -29,7 +29,8 @@ class Decoder(Inbox[Sample]):
     """Turns received frames into samples; see `Inbox.decode`.
 
     Every accepted frame with mapped signals gives a `Sample` of what it carries, the rest NaN. The sample and its
-    arrays are the decoder's own: read them before the next `decode`, or copy them, and do not write to them.
+    arrays are the decoder's own: read them before the next `decode`, or copy them. The arrays are not to be written to,
+    nor what the frame does not carry.
     """
 
     def __init__(

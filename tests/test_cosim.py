@@ -158,7 +158,7 @@ def test_every_step_is_shown_to_the_one_who_watches():
         Path("test"),
         lambda progress: seen.append((progress.step, progress.steps, progress.frames_in, progress.frames_out)),
     )
-    assert seen == [(k, 5, 3 * k, 3 * k) for k in range(1, 6)]
+    assert seen == [(k, 5, 3 * k, 5 * k) for k in range(1, 6)]
     assert len(trace) == 5
 
 
