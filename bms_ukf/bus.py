@@ -10,6 +10,7 @@ import struct
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import can
 from can.typechecking import CanFilter
@@ -17,6 +18,8 @@ from can.typechecking import CanFilter
 from bms_ukf.config import Bus
 from bms_ukf.errors import ConfigError
 from bms_ukf.frames import Frame
+from bms_ukf.seldom import Seldom
+from bms_ukf.socketcan import SocketCan
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +28,7 @@ _FAILURES = (can.CanError, OSError)  # python-can lets the operating system's ow
 _QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN, None)  # None: python-can found the socket's buffer full before it tried
 _SIOCGIFFLAGS = 0x8913  # netdevice(7)
 _IFF_UP = 0x1
+_CAN_ERR_BUSOFF = 0x40  # linux/can/error.h
 
 
 def open_bus(settings: Bus, source: str, ids: Iterable[tuple[int, bool]] | None = None) -> can.BusABC:
@@ -33,21 +37,31 @@ def open_bus(settings: Bus, source: str, ids: Iterable[tuple[int, bool]] | None 
     Raises ConfigError naming interface and channel if it is unknown, missing or down.
     """
     named = f"{settings.interface}:{settings.channel}"
-    options = dict(settings.options)
+    options = {"can_filters": _filters(ids)} | dict(settings.options)
     if settings.interface == "virtual":
         options["preserve_timestamps"] = True
-    if settings.bitrate is not None:
+    if settings.bitrate is not None and settings.interface != "socketcan":
         options["bitrate"] = settings.bitrate
+    if settings.fd:
+        options["fd"] = True
     try:
         if settings.interface == "socketcan":
             _require_up(settings.channel)
-        bus = can.Bus(channel=settings.channel, interface=settings.interface, can_filters=_filters(ids), **options)
+            return _socketcan(settings, options)
+        return can.Bus(channel=settings.channel, interface=settings.interface, **options)
     except can.CanInterfaceNotImplementedError as error:
         expected = f"an interface python-can knows ({error})"
         raise ConfigError(source, key="bus.interface", value=settings.interface, expected=expected) from None
     except (*_FAILURES, TypeError, ValueError) as error:
         expected = f"a CAN interface that exists and is up ({error})"
         raise ConfigError(source, key="bus.channel", value=named, expected=expected) from None
+
+
+def _socketcan(settings: Bus, options: dict[str, Any]) -> can.BusABC:
+    bus = SocketCan(settings.channel, receive_buffer_bytes=settings.receive_buffer_bytes, **options)
+    if bus.receive_buffer_bytes < settings.receive_buffer_bytes:
+        granted, asked = bus.receive_buffer_bytes, settings.receive_buffer_bytes
+        log.info("bus: the kernel grants %d of %d bytes to receive into (net.core.rmem_max)", granted, asked)
     return bus
 
 
@@ -75,6 +89,8 @@ class BusCounters:
     send_failed: int = 0  # frames dropped because the interface would not take them
     receive_failed: int = 0
     reopened: int = 0
+    bus_off: int = 0  # how often the controller gave up: nobody acknowledged, or the wiring is bad
+    dropped: int = 0  # received frames the kernel had no room for; of SocketCAN only, others do not say
 
 
 class SafeBus:
@@ -86,6 +102,8 @@ class SafeBus:
         self._bus: can.BusABC | None = opener()
         self._attempts = 0
         self._retry_at = 0.0
+        self._dropped = 0  # by the sockets before this one
+        self._not_sent = Seldom(log)
         self.counters = BusCounters()
 
     def recv(self, timeout_s: float) -> can.Message | None:
@@ -100,12 +118,17 @@ class SafeBus:
             self._fail(error)
             return None
         self._attempts = 0
+        if message is not None and message.is_error_frame and message.arbitration_id & _CAN_ERR_BUSOFF:
+            self.counters.bus_off += 1
+            log.warning("bus: the controller is bus-off; ip link set … type can restart-ms 100 has it try again")
+        self.counters.dropped = self._dropped + getattr(bus, "dropped", 0)
         return message
 
     @property
     def failures(self) -> int:
-        """How often sending or receiving has failed so far."""
-        return self.counters.send_failed + self.counters.receive_failed
+        """How often sending or receiving has failed so far, or frames were lost."""
+        counters = self.counters
+        return counters.send_failed + counters.receive_failed + counters.bus_off + counters.dropped
 
     def send(self, frame: Frame, t_ns: int) -> bool:
         """Hand a frame to the interface; False, and it is dropped, if that fails. A full queue is no reason to reopen.
@@ -121,6 +144,7 @@ class SafeBus:
             self._bus.send(message)
         except _FAILURES as error:
             self.counters.send_failed += 1
+            self._not_sent.warning("bus: frame 0x%X not sent: %s", arbitration_id, error)
             # The kernel reports a dead interface once, to whichever call comes first: a receiver may never hear of it.
             if _errno(error) not in _QUEUE_FULL:
                 self._fail(error)
@@ -129,6 +153,7 @@ class SafeBus:
 
     def close(self) -> None:
         if self._bus is not None:
+            self._dropped += getattr(self._bus, "dropped", 0)
             try:
                 self._bus.shutdown()
             except _FAILURES as error:

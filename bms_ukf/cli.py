@@ -58,6 +58,22 @@ def run(config: Path, check: bool) -> None:
 
 
 @cli.command()
+@click.argument("dbc", type=PATH, nargs=-1, required=True)
+@click.option("--out", type=PATH, callback=_writable, help="Write the configuration here, and not to the terminal.")
+def init(dbc: tuple[Path, ...], out: Path | None) -> None:
+    """Propose a configuration for a vehicle's own DBC files."""
+    from bms_ukf import skeleton
+
+    text, gaps = skeleton.propose(dbc, out)
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        _write(out, text)
+    for gap in gaps:
+        click.echo(f"fill in {gap}", err=True)
+
+
+@cli.command()
 @click.argument("scenario", required=False)
 @click.option("--inspect", "fmu", type=PATH, help="Print the variables of an FMU and a scenario for it, and exit.")
 @click.option("--json", "json_path", type=PATH, callback=_writable, help="Write the summary here.")
@@ -115,10 +131,7 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
     console = Console(stderr=True)
     with console.status("identify") as status:
         found = identify.run(manifest, status.update)
-    try:
-        out.write_text(found.text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(out, expected=f"a file that can be written ({error.strerror})") from None
+    _write(out, found.text)
     table = Table("test", "use", "RMSE", "bias", "temperature", title="voltage error, open loop, 10 to 90 % SoC")
     for row in error_rows(found):
         table.add_row(*row)
@@ -247,8 +260,12 @@ def import_(
 
 
 def _write_json(path: Path, data: dict[str, Any]) -> None:
+    _write(path, json.dumps(data, indent=2) + "\n")
+
+
+def _write(path: Path, text: str) -> None:
     try:
-        path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(path, expected=f"a file that can be written ({error.strerror})") from None
 

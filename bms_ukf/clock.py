@@ -35,6 +35,10 @@ class StampClock:
         self._stamp_ns, self._read_ns = stamp_ns, now_ns
         return self._t_ns
 
+    def now(self) -> int:
+        """The present, for whoever waits for a time to come; it moves nothing."""
+        return time.monotonic_ns() - self._start_ns
+
     def advance(self) -> int:
         """Go on to the present when there is no frame to tell it. A frame that comes later is not put before it."""
         now_ns = time.monotonic_ns()
@@ -49,6 +53,8 @@ class StampClock:
 class LockstepClock:
     """The same in a simulation that sets the time itself: frames are handled at the instant they were sent."""
 
+    steps = 0  # of the wall clock: there is none
+
     def __init__(self) -> None:
         self._t_ns = 0
 
@@ -56,6 +62,9 @@ class LockstepClock:
         self._t_ns = t_ns
 
     def at(self, stamp_s: float) -> int:
+        return self._t_ns
+
+    def now(self) -> int:
         return self._t_ns
 
     def advance(self) -> int:

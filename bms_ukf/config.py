@@ -5,15 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from bms_ukf import resources, toml
+from bms_ukf.alignment import Alignment
 from bms_ukf.cell import CellParams
-from bms_ukf.codec import Decoder, SignalMap
 from bms_ukf.dbc import Matrix
+from bms_ukf.decoder import Decoder
+from bms_ukf.e2e_settings import E2e
+from bms_ukf.errors import ConfigError
+from bms_ukf.intake import Intake
+from bms_ukf.scaling import scaled
+from bms_ukf.signals import Bound, SignalMap
 from bms_ukf.tuning import Tuning
+from bms_ukf.zero_current import ZeroCurrent
 
 Text = Annotated[str, Field(min_length=1)]
+Scale = Annotated[float, Field(ge=1e-3, le=1e3)]
+Lag = Annotated[float, Field(ge=0, le=60)]
 
 
 class Bus(toml.Section):
@@ -22,7 +31,17 @@ class Bus(toml.Section):
     interface: Text
     channel: Text
     bitrate: Annotated[int, Field(gt=0)] | None = None  # SocketCAN takes it from `ip link`, others need it here
+    fd: bool = False  # CAN FD frames are read, too
+    receive_buffer_bytes: Annotated[int, Field(ge=4096, le=1 << 28)] = 1 << 20  # of SocketCAN; some 900 a frame
     options: dict[str, Any] = Field(default_factory=dict)  # further arguments of that python-can interface
+
+
+class Lags(toml.Section):
+    """lag_s: how long after its instant a signal of a role arrives."""
+
+    current: Lag = 0.0
+    voltage: Lag = 0.0
+    temperature: Lag = 0.0
 
 
 class Signals(toml.Section):
@@ -34,13 +53,22 @@ class Signals(toml.Section):
     cell_voltage: list[Text] = Field(default_factory=list)  # one a cell, in order
     pack_voltage: Text | None = None  # in place of cell_voltage: the string is estimated as its mean cell
     series_cells: Annotated[int, Field(ge=1)] = 1  # how many cells pack_voltage is the sum of
+    parallel_cells: Annotated[int, Field(ge=1)] = 1  # how many cells share the current
     temperature: Annotated[list[Text], Field(min_length=1)]  # one for all cells, or one a cell
+    contactor: Text | None = None
+    contactor_open: list[int | Text] = Field(default_factory=list)  # raw values, or their names, with no current
     not_available: dict[str, list[int]] = Field(default_factory=dict)  # raw values that mean "no value"
+    plausible: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=dict)
+    unit: dict[str, Text] = Field(default_factory=dict)  # where the DBC gives none, or a wrong one
+    lag_s: Lags = Field(default_factory=Lags)
+    e2e: dict[str, E2e] = Field(default_factory=dict)  # by message
 
     @model_validator(mode="after")
-    def _one_voltage(self) -> Self:
+    def _consistent(self) -> Self:
         if bool(self.cell_voltage) == bool(self.pack_voltage):
             raise ValueError("either cell_voltage or pack_voltage")
+        if bool(self.contactor) != bool(self.contactor_open):
+            raise ValueError("contactor and contactor_open together or not at all")
         return self
 
 
@@ -49,7 +77,12 @@ class Config(toml.Document):
 
     cell: Text  # a cell file, or the name of a shipped one
     cells: Annotated[int, Field(ge=1, le=400)] = 1  # how many are measured one by one
+    capacity_scale: Scale = 1.0  # a cell of the same family, so many times as large
+    resistance_scale: Scale | None = None  # None: 1 / capacity_scale
     silence_s: Annotated[float, Field(gt=0)] = 2.0  # without input for so long, a prediction is published instead
+    transmit: Literal["on_update", "periodic"] = "on_update"  # after each scan of the voltages, or every period_s
+    period_s: Annotated[float, Field(ge=0.005, le=10)] = 0.1
+    soc_slew_per_s: Annotated[float, Field(gt=0, le=1)] = 0.001  # how fast SocSlewed may be corrected
     bus: Bus
     signals: Signals | None = None
     estimator: Tuning = Field(default_factory=Tuning)
@@ -60,10 +93,13 @@ class Setup:
 
     def __init__(self, config: Config, source: Path) -> None:
         self.config, self.source = config, source
-        cell_path = resources.find(config.cell, "cells", ".toml", relative_to=source.parent)
-        self.cell = CellParams.load(cell_path)
+        self.cell = self._cell()
         self.warnings: list[str] = []
         self.decoder = self._decoder()
+        if config.signals is not None:
+            for bound in self.decoder.bound:
+                _check_scale(bound, self.cell, source)
+                self.warnings += [bound.warning] if bound.warning else []
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -71,12 +107,58 @@ class Setup:
         source = Path(path)
         return cls(toml.load(source, Config), source)
 
+    def intake(self) -> Intake:
+        """The way in for frames of that bus."""
+        signals, tuning = self.config.signals, self.config.estimator
+        if signals is None:
+            return Intake(self.decoder)
+        sigma_A = tuning.current_offset_sigma_A or self.cell.cell.capacity_Ah / 100
+        zero = ZeroCurrent(5 * sigma_A) if signals.contactor is not None else None
+        lag = signals.lag_s
+        return Intake(self.decoder, zero, Alignment(lag.current, lag.voltage, lag.temperature))
+
+    def _cell(self) -> CellParams:
+        config = self.config
+        cell = CellParams.load(resources.find(config.cell, "cells", ".toml", relative_to=self.source.parent))
+        if config.capacity_scale == 1.0 and config.resistance_scale is None:
+            return cell
+        try:
+            return scaled(cell, config.capacity_scale, config.resistance_scale)
+        except ValidationError as error:
+            expected = f"a cell that can be ({error.errors()[0]['msg']})"
+            raise ConfigError(
+                self.source, key="capacity_scale", value=config.capacity_scale, expected=expected
+            ) from None
+
     def _decoder(self) -> Decoder:
         cells, signals = self.config.cells, self.config.signals
         if signals is None:
             return Decoder(cells=cells, source=self.source)
-        files = [self.source.parent / name for name in signals.dbc]
-        matrix = Matrix(files, strict=False)
+        matrix = Matrix([self.source.parent / name for name in signals.dbc], strict=False)
         self.warnings += matrix.warnings
-        roles = SignalMap(**signals.model_dump(exclude={"dbc"}))
+        protected = {name: e2e.made(name, matrix, self.source) for name, e2e in signals.e2e.items()}
+        roles = SignalMap(**signals.model_dump(exclude={"dbc", "lag_s", "e2e"}), e2e=protected)
         return Decoder(roles, matrix, cells=cells, source=self.source)
+
+
+def _check_scale(bound: Bound, cell: CellParams, source: Path) -> None:
+    """ConfigError if a signal cannot say what that cell's current, voltage or temperature are like."""
+    limits = cell.cell
+    low, high = {
+        "current": (0.0, 0.1 * limits.capacity_Ah),
+        "voltage": (limits.voltage_limits_V[0], limits.voltage_limits_V[1]),
+        "temperature": (20.0, 30.0),
+        "contactor": (0.0, 1.0),
+    }[bound.role]
+    coarsest = {"current": limits.capacity_Ah, "voltage": 0.1, "temperature": 10.0, "contactor": 1.0}[bound.role]
+    reaches = bound.lowest <= low and high <= bound.highest
+    if bound.role == "current":  # of a sensor that sees one direction only
+        reaches |= bound.lowest <= -high and bound.highest >= 0.0
+    if not reaches or (bound.bit > coarsest and not bound.is_float):
+        says = f"{bound.lowest:g} to {bound.highest:g}, {bound.bit:g} a bit"
+        unit = {"current": "A", "voltage": "V", "temperature": "degC", "contactor": ""}[bound.role]
+        expected = (
+            f"{low:g} to {high:g} {unit} in bits below {coarsest:g} for each {limits.name}; it can say {says} "
+            f"(see unit, series_cells, parallel_cells, capacity_scale)"
+        )
+        raise ConfigError(source, key=f"signals.{bound.role}", value=bound.name, expected=expected)

@@ -1,6 +1,6 @@
 """The daemon: frames in, frames out, one line in between.
 
-    bus.recv -> codec.decode -> Sample -> Estimator.step -> Estimate -> codec.encode -> bus.send
+    bus.recv -> intake.take -> Sample -> Estimator.step -> Estimate -> encoder.encode -> bus.send
 
 It does not end because of a frame, a full queue or a failing interface: it degrades, says so in what it publishes, and
 goes on when it can.
@@ -8,36 +8,38 @@ goes on when it can.
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from bms_ukf.bus import SafeBus
 from bms_ukf.clock import StampClock
-from bms_ukf.codec import Decoder, Encoder
+from bms_ukf.commissioning import Commissioning
+from bms_ukf.encoder import Encoder
 from bms_ukf.estimator import Estimator
-from bms_ukf.records import Fault, Sample, Status
+from bms_ukf.intake import Intake
+from bms_ukf.publication import Publication
+from bms_ukf.records import Fault, Sample
+from bms_ukf.scan import Scan
 
 FAULT_HOLD_NS = 1_000_000_000
+HEALTH_NS = 1_000_000_000
+IMPLAUSIBLE = Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE
 POLL_S = 0.1  # how long a request to stop may wait
-
-# Wrong with one sample, and no longer with the next: a scan is many samples, and what it publishes tells of them all.
-PASSING = (
-    Fault.CURRENT_MISSING
-    | Fault.CURRENT_IMPLAUSIBLE
-    | Fault.VOLTAGE_IMPLAUSIBLE
-    | Fault.TEMPERATURE_IMPLAUSIBLE
-    | Fault.INNOVATION_REJECTED
-    | Fault.TIME_REVERSED
-    | Fault.NUMERIC
-)
 
 
 class Clock(Protocol):
     """The time of received frames; see `clock`."""
 
+    @property
+    def steps(self) -> int: ...
+
     def at(self, stamp_s: float) -> int: ...
+
+    def now(self) -> int: ...
 
     def advance(self) -> int: ...
 
@@ -49,28 +51,39 @@ class Daemon:
         self,
         bus: SafeBus,
         estimator: Estimator,
-        decoder: Decoder,
+        intake: Intake,
         *,
         clock: Clock | None = None,
         silence_s: float = 2.0,
+        period_s: float | None = None,
+        soc_slew_per_s: float = 0.001,
+        fd: bool = False,
     ) -> None:
-        """`clock` times the frames (None: a `StampClock`); `silence_s` after the last answer a prediction is sent."""
-        self.bus, self.estimator, self.decoder = bus, estimator, decoder
+        """`clock` times the frames (None: a `StampClock`); `silence_s` after the last answer a prediction is sent.
+
+        `period_s` None: an answer after every scan of the voltages. `fd`: CAN FD frames are read.
+        """
+        self.bus, self.estimator, self.intake = bus, estimator, intake
         self.encoder = Encoder(estimator.cells)
+        self.publication = Publication(estimator.cell.cell.capacity_Ah, soc_slew_per_s)
+        self.commissioning = Commissioning(estimator.cell)
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
-        self._clock = clock or StampClock()
-        self._silence_ns = silence_s * 1e9
-        self._published_ns = 0
-        self._passed = Fault.NONE  # of PASSING, since the last set
+        self._clock: Clock = clock or StampClock()
+        self._scan = Scan(estimator.cells)
+        self._periodic, self._fd = period_s is not None, fd
+        due_after_s = silence_s if period_s is None else period_s
+        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
+        self._published_ns = self._health_ns = 0
+        self._stepped = False  # since the last set
         self._refused = _Recent(Fault.E2E)
         self._failed = _Recent(Fault.BUS)
 
     def run(self, stop: threading.Event) -> None:
         """Serve the bus until `stop` is set."""
         while not stop.is_set():
-            if not self.poll(POLL_S):
-                self._break_silence(self._clock.advance())
+            if not self.poll(self._patience_s()):
+                self._publish_if_due(self._clock.advance())
 
     def poll(self, timeout_s: float) -> bool:
         """Wait for one frame and handle it; False if none came. A scan that is complete is answered by publishing."""
@@ -78,38 +91,67 @@ class Daemon:
         if message is None:
             return False
         t_ns = self._clock.at(message.timestamp)
-        classic = not (message.is_remote_frame or message.is_error_frame or message.is_fd)
-        sample = self.decoder.decode(
-            message.arbitration_id, message.is_extended_id, bytes(message.data), t_ns, classic=classic
+        data_frame = not (message.is_remote_frame or message.is_error_frame or (message.is_fd and not self._fd))
+        self._handle(
+            self.intake.take(
+                message.arbitration_id, message.is_extended_id, bytes(message.data), t_ns, classic=data_frame
+            )
         )
-        if sample is not None:
-            self.estimator.step(sample, out=self.estimate)
-            self._passed |= self.estimate.faults & PASSING
-            if _closes_scan(sample):
-                self._publish(t_ns)
-        self._break_silence(t_ns)
+        self._publish_if_due(t_ns)
         return True
 
-    def _break_silence(self, t_ns: int) -> None:
-        """Publish a prediction if nothing has been published for too long: silence must not look like a steady SoC."""
-        if t_ns - self._published_ns >= self._silence_ns:
-            self.estimator.coast(t_ns, out=self.estimate)
-            self._publish(t_ns)
+    def _handle(self, samples: Sequence[Sample]) -> None:
+        for sample in samples:
+            if _is_empty(sample):  # its sender lives, and knows nothing: no reason to look alive
+                self.estimator.coast(sample.t_ns, out=self.estimate)
+                self.publication.follow(sample, self.estimate)
+                continue
+            self.estimator.step(sample, out=self.estimate)
+            self.publication.follow(sample, self.estimate)
+            if not self.estimate.faults & IMPLAUSIBLE:
+                self.commissioning.see(sample)
+            self._stepped = True
+            if self._scan.ends_with(sample) and not self._periodic:
+                self._publish(sample.t_ns + self.intake.behind_ns)
+
+    def _publish_if_due(self, t_ns: int) -> None:
+        """Publish every period, or a prediction after too long a silence: it must not look like a steady SoC."""
+        if self._due_after_ns is None or t_ns - self._published_ns < self._due_after_ns:
+            return
+        self._handle(self.intake.due(t_ns))
+        if not (self._periodic and self._stepped):
+            self.estimator.coast(t_ns - self.intake.behind_ns, out=self.estimate)
+        self._publish(t_ns)
 
     def _publish(self, t_ns: int) -> None:
-        estimate = self.estimate
-        received = self.decoder.counters
+        received, counters = self.intake.counters, self.bus.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self.bus.failures + received.lost)
-        shown |= self._passed
-        self._passed = Fault.NONE
-        if shown:
-            estimate.faults |= shown
-            if estimate.status is Status.OK:
-                estimate.status = Status.DEGRADED
-        for frame in self.encoder.encode(estimate, self.estimator.accepted):
+        detail = self.publication.complete(self.estimate, t_ns, shown | self.commissioning.fault)
+        detail.current_bias_A = self._bias_A()
+        accepted = self.estimator.accepted
+        if t_ns - self._health_ns >= HEALTH_NS:
+            counts = (counters.dropped, received.refused, counters.send_failed, self._clock.steps, counters.reopened)
+            self.bus.send(self.encoder.health(counts, accepted), t_ns)
+            self._health_ns = t_ns
+        for frame in self.encoder.encode(self.estimate, detail, accepted):
             self.bus.send(frame, t_ns)
         self.published += 1
-        self._published_ns = t_ns
+        self._stepped = False
+        # A period that is late once is made up for, one that is late by more is not.
+        on_time = self._periodic and self._due_after_ns and t_ns - self._published_ns < 2 * self._due_after_ns
+        self._published_ns = self._published_ns + self._due_after_ns if on_time and self._due_after_ns else t_ns
+
+    def _bias_A(self) -> float:
+        """What the current sensor shows too much, as far as it is known."""
+        estimated, zero = float(np.mean(self.estimate.current_bias_A)), self.intake.zero
+        learnt = math.nan if zero is None or not zero.known else zero.offset_A
+        return learnt if math.isnan(estimated) else estimated if math.isnan(learnt) else estimated + learnt
+
+    def _patience_s(self) -> float:
+        if not self._periodic or self._due_after_ns is None:
+            return POLL_S
+        left_ns = self._published_ns + self._due_after_ns - self._clock.now()
+        return min(max(left_ns * 1e-9, 0.0), POLL_S)
 
 
 class _Recent:
@@ -124,7 +166,8 @@ class _Recent:
         return self._fault if t_ns < self._until_ns else Fault.NONE
 
 
-def _closes_scan(sample: Sample) -> bool:
-    """Whether the last cell's voltage is in the sample: cells are read in order."""
-    voltage = sample.voltage_V if isinstance(sample.voltage_V, float) else sample.voltage_V[-1]
-    return not np.isnan(voltage)
+def _is_empty(sample: Sample) -> bool:
+    """Whether nothing was measured."""
+    if not math.isnan(sample.current_A):
+        return False
+    return bool(np.all(np.isnan(sample.voltage_V)) and np.all(np.isnan(sample.temperature_degC)))

@@ -6,6 +6,7 @@ import difflib
 import functools
 import math
 import struct
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
@@ -54,6 +55,20 @@ class Matrix:
         self._suspect.update(messages)
         return messages
 
+    def sound(self) -> list[Message]:
+        """The messages that do not contradict themselves, and whose name no other one has."""
+        names = Counter(message.name for message in self._messages)
+        return [message for message in self._messages if names[message.name] == 1 and self._fault(message) is None]
+
+    def _fault(self, message: Message) -> Error | None:
+        """What is wrong with the layout of a message, if anything."""
+        if message in self._suspect:
+            try:
+                message.refresh(strict=True)
+            except Error as error:
+                return error
+        return None
+
     def message(self, name: str, *, source: str | Path | None = None, key: str | None = None) -> Message:
         """The message called `name`. ConfigError if there is none, or more than one, or it contradicts itself."""
         found = [message for message in self._messages if message.name == name]
@@ -62,11 +77,8 @@ class Matrix:
             near = _nearest(name, [message.name for message in self._messages])
             expected = f"the name of one message of {self._source}{near}" + (", not of several" if found else "")
             raise ConfigError(source, key=key, value=name, expected=expected)
-        if found[0] in self._suspect:
-            try:
-                found[0].refresh(strict=True)
-            except Error as error:
-                raise ConfigError(source, key=key, value=name, expected=f"a sound layout ({error})") from None
+        if (fault := self._fault(found[0])) is not None:
+            raise ConfigError(source, key=key, value=name, expected=f"a sound layout ({fault})")
         return found[0]
 
     def find(self, path: str, *, source: str | Path | None = None, key: str | None = None) -> tuple[Message, Signal]:
@@ -129,13 +141,28 @@ class Field:
         order, shift, mask, from_bytes = self.order, self.shift, self.mask, int.from_bytes
         return lambda data: (from_bytes(data, order) >> shift) & mask
 
-    def extract(self, factor: float = 1.0) -> Extract:
-        """A function from the payload, exactly as long as the DBC says, to `factor` times the physical value.
+    def span(self) -> tuple[float, float]:
+        """The physical values of the lowest and the highest raw value that is a number; infinite for a float signal."""
+        if self.is_float:
+            return -math.inf, math.inf
+        numbers = [raw - 2 * (raw & self.sign) for raw in self._ends()]
+        return numbers[0] * self.scale + self.offset, numbers[1] * self.scale + self.offset
+
+    def _ends(self) -> tuple[int, int]:
+        low, high = (self.sign, self.sign - 1) if self.sign else (0, self.mask)
+        while low in self.codes and low != high:
+            low = (low + 1) & self.mask
+        while high in self.codes and low != high:
+            high = (high - 1) & self.mask
+        return low, high
+
+    def extract(self, factor: float = 1.0, plus: float = 0.0) -> Extract:
+        """A function from the payload, exactly as long as the DBC says, to the physical value * `factor` + `plus`.
 
         It returns NaN for the codes, and for a float signal that is not finite.
         """
         order, shift, mask, from_bytes = self.order, self.shift, self.mask, int.from_bytes
-        sign, scale, offset, codes = self.sign, self.scale * factor, self.offset * factor, self.codes
+        sign, scale, offset, codes = self.sign, self.scale * factor, self.offset * factor + plus, self.codes
 
         def unsigned(data: bytes) -> float:
             raw = (from_bytes(data, order) >> shift) & mask

@@ -10,7 +10,7 @@ import numpy as np
 from cantools.database.can import Message
 
 from bms_ukf.dbc import Field, Matrix, protection
-from bms_ukf.e2e import COUNTER_WRONG, CRC_WRONG, Receiver, Sender
+from bms_ukf.e2e import COUNTER_WRONG, CRC_WRONG, Agreed, Receiver, Sender
 from bms_ukf.errors import ConfigError
 from bms_ukf.records import NAN, PerCell
 
@@ -42,12 +42,13 @@ class Counters:
 class Inbox(Generic[T]):
     """Checks every frame before it is read. `counters` is its account; only `decode` changes it."""
 
-    def __init__(self, reads: Mapping[Message, Read[T]]) -> None:
+    def __init__(self, reads: Mapping[Message, Read[T]], e2e: Mapping[str, Agreed] | None = None) -> None:
+        """`e2e` is the protection, by name, of messages for which the DBC declares none of its own."""
         self.counters = Counters()
         self._standard: dict[int, tuple[int, Callable[[bytes, int], int] | None, Read[T]]] = {}
         self._extended: dict[int, tuple[int, Callable[[bytes, int], int] | None, Read[T]]] = {}
         for message, read in reads.items():
-            profile = protection(message)
+            profile = (e2e or {}).get(message.name) or protection(message)
             wanted = self._extended if message.is_extended_frame else self._standard
             if message.frame_id in wanted:
                 raise ConfigError(

@@ -10,11 +10,12 @@ import can
 
 from bms_ukf.bus import SafeBus, open_bus
 from bms_ukf.clock import LockstepClock
-from bms_ukf.codec import Decoder
 from bms_ukf.config import Bus
 from bms_ukf.daemon import Daemon
+from bms_ukf.decoder import Decoder
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
+from bms_ukf.intake import Intake
 from bms_ukf.node import EstimateDecoder, SampleEncoder
 from bms_ukf.records import Estimate, Sample, Status
 
@@ -64,7 +65,7 @@ class BusLink:
         self._daemon = Daemon(
             bus,
             estimator,
-            Decoder(cells=estimator.cells),
+            Intake(Decoder(cells=estimator.cells)),
             clock=self._clock,
             silence_s=math.inf,
         )

@@ -30,6 +30,20 @@ class Status(IntEnum):
         return self.name.lower()
 
 
+class Source(IntEnum):
+    """What the SoC was last corrected by."""
+
+    NONE = 0  # nothing: it is not known
+    STORED = 1  # what was known before a restart
+    START = 2  # the first voltage
+    VOLTAGE = 3  # a voltage under load
+    REST = 4  # the voltage of a cell that has rested
+
+    @property
+    def word(self) -> str:
+        return self.name.lower()
+
+
 class Fault(IntFlag):
     """Why a status is not `OK`. The same bits in the kernel's return value, the DBC, the FMU and the C header."""
 
@@ -46,6 +60,8 @@ class Fault(IntFlag):
     OUT_OF_TABLE = 1 << 9  # SoC or temperature beyond the cell file's tables: extrapolated
     E2E = 1 << 10  # frames refused for length, counter or CRC
     BUS = 1 << 11  # frames lost, or not sent
+    CURRENT_SIGN = 1 << 12  # voltage rises with the current: the sign of one of them is wrong
+    CURRENT_SCALE = 1 << 13  # voltage steps are far from what the current's steps and the cell's resistance explain
 
 
 @dataclass(slots=True)
@@ -60,6 +76,15 @@ class Sample:
     voltage_V: PerCell = NAN  # cell terminal voltage; array of shape (cells,) for a pack
     temperature_degC: PerCell = NAN
     open_circuit: bool = False  # the contactor is known to be open: `current_A` is the sensor's offset, nothing flows
+
+
+@dataclass(slots=True)
+class Detail:
+    """What is told on the bus of an estimate beyond it; of a pack, of its mean cell."""
+
+    soc_slewed: float = NAN  # 0..1, follows the SoC without steps; NaN where that is not available
+    source: Source = Source.NONE
+    current_bias_A: float = NAN  # what the current sensor shows too much, positive = discharge; NaN: not known
 
 
 @dataclass(slots=True)

@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 from types import FrameType
 
+from bms_ukf import roles
 from bms_ukf.bus import SafeBus, open_bus
 from bms_ukf.config import Setup
 from bms_ukf.daemon import Daemon
@@ -31,9 +32,18 @@ def serve(path: Path) -> None:
 
     bus = SafeBus(lambda: open_bus(setup.config.bus, str(path), setup.decoder.ids()))
     estimator = Estimator(setup.cell, setup.config.cells, setup.config.estimator)
-    daemon = Daemon(bus, estimator, setup.decoder, silence_s=setup.config.silence_s)
+    config = setup.config
+    daemon = Daemon(
+        bus,
+        estimator,
+        setup.intake(),
+        silence_s=config.silence_s,
+        period_s=config.period_s if config.transmit == "periodic" else None,
+        soc_slew_per_s=config.soc_slew_per_s,
+        fd=config.bus.fd,
+    )
     previous = {number: signal.signal(number, on_signal) for number in (signal.SIGTERM, signal.SIGINT)}
-    log.info("running: %s", _explanation(setup).replace("\n", "; "))
+    log.info("running: %s", "; ".join(_explanation(setup).splitlines()))
     try:
         daemon.run(stop)
     finally:
@@ -53,11 +63,16 @@ def explain(path: Path) -> str:
 def _explanation(setup: Setup) -> str:
     config, limits = setup.config, setup.cell.cell
     signals = config.signals
+    scale = "" if config.capacity_scale == 1.0 else f", {config.capacity_scale:g} times the size of the cell file's"
     lines = [
-        f"{config.cells} x {limits.name} ({limits.chemistry}, {limits.capacity_Ah:g} Ah), "
+        f"{config.cells} x {limits.name} ({limits.chemistry}, {limits.capacity_Ah:g} Ah{scale}), "
         f"{limits.temperature_limits_degC[0]:g}..{limits.temperature_limits_degC[1]:g} degC",
-        f"bus {config.bus.interface}:{config.bus.channel}",
+        f"bus {config.bus.interface}:{config.bus.channel}, "
+        + (
+            f"a set of frames every {config.period_s:g} s" if config.transmit == "periodic" else "a set after each scan"
+        ),
         "signals of the project's own bms.dbc" if signals is None else f"signals of {', '.join(signals.dbc)}",
+        *roles.explained(setup.decoder.bound, signals),
     ]
     lines += [f"warning: {warning}" for warning in setup.warnings]
     return "\n".join(lines)

@@ -9,6 +9,7 @@ import pytest
 from can import CanOperationError, Message
 
 from bms_ukf import bus as bus_module
+from bms_ukf import seldom
 from bms_ukf.bus import BACKOFF_S, SafeBus, open_bus
 from bms_ukf.config import Bus
 from bms_ukf.errors import ConfigError
@@ -140,6 +141,40 @@ def test_a_dead_interface_that_only_a_sender_hears_of_is_opened_again(clock, err
     assert bus.counters.send_failed == bus.failures == 2
     clock.sleep(BACKOFF_S[0])
     assert bus.recv(0.0) is MESSAGE
+
+
+def test_a_full_queue_is_told_of_seldom(clock, monkeypatch, caplog):
+    monkeypatch.setattr(seldom, "time", clock)
+    bus = safe_bus(Interface(*[QUEUE_FULL] * 1000))
+    for _ in range(1000):
+        bus.send(FRAME, 0)
+        clock.sleep(0.021)
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines[0] == "bus: frame 0x220 not sent: queue full [Error Code 105]"
+    assert len(lines) == 3, "one in ten seconds"
+    assert "476 more since the last such line" in lines[1]
+    assert bus.counters.send_failed == 1000
+
+
+def test_bus_off_of_the_controller_is_counted_and_told(clock, caplog):
+    bus_off = Message(arbitration_id=0x40, is_extended_id=True, is_error_frame=True)
+    other = Message(arbitration_id=0x04, is_extended_id=True, is_error_frame=True)
+    bus = safe_bus(Interface(other, bus_off, MESSAGE))
+    assert [bus.recv(0.0) for _ in range(3)][-1] is MESSAGE
+    assert (bus.counters.bus_off, bus.failures) == (1, 1)
+    assert "bus-off" in caplog.text
+
+
+def test_frames_the_kernel_dropped_are_counted_over_all_sockets(clock):
+    first, second = Interface(MESSAGE, NETWORK_DOWN), Interface(MESSAGE)
+    first.dropped, second.dropped = 3, 4
+    bus = safe_bus(first, second)
+    bus.recv(0.0)
+    assert bus.counters.dropped == 3
+    bus.recv(0.0)
+    clock.sleep(BACKOFF_S[0])
+    bus.recv(0.0)
+    assert bus.counters.dropped == 7
 
 
 def test_an_interface_that_fails_even_to_close_is_let_go(clock):

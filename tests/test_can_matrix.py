@@ -16,7 +16,7 @@ CAN = Path(__file__).parents[1] / "can"
 DATABASE = cantools.database.load_file(CAN / "bms.dbc", strict=True)
 MESSAGES: list[Message] = DATABASE.messages
 SIGNALS = {(message.name, signal.name): signal for message in MESSAGES for signal in message.signals}
-MEASURED = {key: s for key, s in SIGNALS.items() if s.unit or key[1] in {"Nis", "WorstCell"}}
+MEASURED = {key: s for key, s in SIGNALS.items() if s.unit or key[1] in {"Nis", "WorstCell", "MinCell", "MaxCell"}}
 NAMES = [message.name for message in MESSAGES]
 
 

@@ -316,3 +316,20 @@ def test_findings_of_the_validation_are_warnings(bms_ukf, altered_plant):
     ended = bms_ukf("cosim", "--inspect", altered_plant({'name="soc_initial"': 'name="soc"'}))
     assert ended.code == 0
     assert "# warning: validation: " in ended.out
+
+
+def test_init_writes_a_skeleton_and_tells_what_is_to_be_filled_in(bms_ukf, tmp_path):
+    dbc = Path(__file__).resolve().parents[1] / "models" / "configs" / "example.dbc"
+    ended = bms_ukf("init", dbc, "--out", tmp_path / "can.toml")
+    assert (ended.code, ended.out) == (0, "")
+    assert ended.err == "fill in signals.series_cells: how many cells in series pack_voltage is the sum of\n"
+    text = (tmp_path / "can.toml").read_text()
+    assert 'current_positive = "charge"   # as its comment says' in text
+    assert "[signals]" in bms_ukf("init", dbc).out
+    (tmp_path / "can.toml").write_text(text.replace("# series_cells", "series_cells"))
+    checked = bms_ukf("run", "--check", tmp_path / "can.toml")
+    assert "current: BatteryStatus.Current" in checked.out
+
+
+def test_init_of_what_is_no_dbc_is_one_line(bms_ukf, tmp_path):
+    assert "no.dbc: expected a readable DBC file" in bms_ukf("init", tmp_path / "no.dbc").line

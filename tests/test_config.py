@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import cantools
 import pytest
+from e2e.crc import calculate_crc8_h2f
 from pydantic import BaseModel
 
-from bms_ukf import ConfigError, Tuning, resources, toml
-from bms_ukf.config import Bus, Config, Setup, Signals
+from bms_ukf import ConfigError, Tuning, resources, service, toml
+from bms_ukf.config import Bus, Config, Lags, Setup, Signals
+from bms_ukf.e2e_settings import Crc, E2e
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "models" / "configs" / "example.toml"
 MINIMAL = """
@@ -28,6 +31,9 @@ current_positive = "charge"
 cell_voltage = ["CellStatus.Voltage"]
 temperature = ["CellStatus.Temperature"]
 """
+
+
+E2E = "[signals.e2e.CellStatus]\n"
 
 
 @pytest.fixture
@@ -53,11 +59,43 @@ def test_the_example_works_with_the_dbc_beside_it():
     assert (sample.t_ns, sample.current_A) == (7, -12.5), "positive is charge there, and discharge here"
 
 
-@pytest.mark.parametrize("model", [Config, Bus, Signals, Tuning])
+@pytest.mark.parametrize("model", [Config, Bus, Signals, Lags, E2e, Crc, Tuning])
 def test_the_example_shows_every_key(model: type[BaseModel]):
     text = EXAMPLE.read_text(encoding="utf-8")
-    shown = set(re.findall(r"^(?:# )?\[?(\w+)(?:\]| = )", text, flags=re.MULTILINE))
+    shown = set(re.findall(r"(?:^(?:# )?\[?|[.{,] ?)(\w+)(?=[.\]]| = )", text, flags=re.MULTILINE))
     assert set(model.model_fields) <= shown
+
+
+def test_what_the_example_comments_out_is_valid_where_it_may_stand():
+    text = EXAMPLE.read_text(encoding="utf-8")
+    for line, instead_of in (
+        ('pack_voltage = "BatteryStatus.Voltage"', "cell_voltage"),
+        ("capacity_scale = 35.0", ""),
+        ("resistance_scale = 0.03", ""),
+        ('unit = { "BatteryStatus.Current" = "A" }', ""),
+    ):
+        changed = text.replace(f"# {line}", line)
+        assert changed != text
+        if instead_of:
+            changed = re.sub(rf"^{instead_of} = .*$", "", changed, flags=re.MULTILINE)
+        Setup(toml.validate(tomllib.loads(changed), Config, EXAMPLE), EXAMPLE)
+
+
+def cell_status(counter: int, voltage_V: float = 3.7, relay: int = 2) -> bytes:
+    """A frame of the example's CellStatus, protected by an independent implementation of its CRC."""
+    body = round(voltage_V * 1000).to_bytes(2, "big") + bytes([65, counter << 4 | relay])
+    return body + bytes([calculate_crc8_h2f(bytes([0x2A]) + body)])
+
+
+def test_the_example_refuses_a_frame_with_a_wrong_crc_or_counter_and_reads_a_right_one():
+    decoder = Setup.load(EXAMPLE).decoder
+    good = cell_status(counter=3)
+    assert decoder.decode(0x201, False, good[:-1] + bytes([good[-1] ^ 1]), 0) is None
+    sample = decoder.decode(0x201, False, good, 1)
+    assert sample is not None
+    assert (sample.voltage_V, sample.temperature_degC) == (3.7, 25.0)
+    assert decoder.decode(0x201, False, good, 2) is None
+    assert (decoder.counters.crc, decoder.counters.counter, decoder.counters.accepted) == (1, 1, 1)
 
 
 def test_what_the_example_sets_in_the_estimator_is_the_default():
@@ -78,6 +116,35 @@ def test_files_are_looked_for_beside_the_config(config, tmp_path, monkeypatch, c
     setup = config(MINIMAL.replace("lgm50_chen2020", "my_cell.toml") + SIGNALS)
     assert setup.cell == cell
     assert sorted(setup.decoder.ids()) == [(0x200, False), (0x201, False)]
+
+
+def test_a_signal_without_a_unit_is_a_warning_and_not_a_guess_kept_quiet(config, tmp_path):
+    text = (tmp_path / "vehicle.dbc").read_text().replace('[-1600|1600] "A"', '[-1600|1600] ""')
+    (tmp_path / "vehicle.dbc").write_text(text)
+    (warning,) = config(MINIMAL + SIGNALS).warnings
+    assert warning.startswith("BatteryStatus.Current has no unit in the DBC: taken as A")
+
+
+def test_a_cell_of_the_same_family_is_scaled(config):
+    setup = config("capacity_scale = 35.0\n" + MINIMAL + SIGNALS)
+    assert setup.cell.cell.capacity_Ah == pytest.approx(35 * 5.1532)
+    assert "180.362 Ah, 35 times the size" in service.explain(setup.source)
+
+
+def test_check_tells_what_every_role_is_read_from():
+    lines = service.explain(EXAMPLE).splitlines()
+    assert [line.strip().split(":")[0] for line in lines[3:]] == ["current", "voltage", "temperature", "contactor"]
+    assert "BatteryStatus.Current (0x200, -1638.35..1638.4 A, 0.05 a bit, positive on the bus is charge" in lines[3]
+    assert "plausible -800 to 800, no CRC, no counter" in lines[3]
+    assert "CRC or counter checked" in lines[4]
+    assert "no value is 255" in lines[5]
+    assert "CellStatus.MainRelay (0x201, open is Open" in lines[6]
+
+
+def test_check_of_many_cells_names_the_first_and_the_last(config):
+    told = service.explain(config("cells = 96\n" + MINIMAL).source)
+    assert "voltage 1: CellVoltages.Cell1 (0x121, page 0" in told
+    assert "… 94 more …\n  voltage 96: CellVoltages.Cell96" in told
 
 
 def test_a_dbc_that_is_not_strictly_valid_is_read_with_a_warning(config, tmp_path):
@@ -104,6 +171,33 @@ def test_a_dbc_that_is_not_strictly_valid_is_read_with_a_warning(config, tmp_pat
         (MINIMAL + SIGNALS.replace("BatteryStatus", "BateryStatus"), "signals.current", "BatteryStatus"),
         (MINIMAL + SIGNALS.replace('"charge"', '"in"'), "signals.current_positive", "'charge' or 'discharge'"),
         ("cells = 2\n" + MINIMAL + SIGNALS, "signals.cell_voltage", "each of 2 cells"),
+        (MINIMAL + SIGNALS + 'contactor = "CellStatus.MainRelay"\n', "signals", "contactor_open together"),
+        ("capacity_scale = 0.0\n" + MINIMAL, "capacity_scale", "0.001"),
+        (MINIMAL + SIGNALS + 'unit = { "CellStatus.Voltage" = "mV" }\n', "signals.voltage", "2.5 to 4.2 V"),
+        (MINIMAL + SIGNALS + 'unit = { "CellStatus.Voltage" = "kV" }\n', "signals.voltage", "in bits below 0.1"),
+        (MINIMAL + SIGNALS + 'unit = { "CellStatus.Temperature" = "K" }\n', "signals.temperature", "20 to 30 degC"),
+        (MINIMAL + SIGNALS + 'unit = { "BatteryStatus.Current" = "kA" }\n', "signals.current", "capacity_scale"),
+        (MINIMAL + SIGNALS + "lag_s = { voltage = -1.0 }\n", "signals.lag_s.voltage", "greater than or equal to 0"),
+        (MINIMAL + SIGNALS + E2E, "signals.e2e.CellStatus", "either profile, or crc, counter or both"),
+        (MINIMAL + SIGNALS + E2E + 'profile = "P03"\n', "signals.e2e.CellStatus.profile", "'P01'"),
+        (MINIMAL + SIGNALS + E2E + 'profile = "P02"\n', "signals.e2e.CellStatus.data_id", "16 bytes"),
+        (MINIMAL + SIGNALS + E2E + 'counter = "Count"\n', "signals.e2e.CellStatus.counter", "CellStatus.Counter"),
+        (
+            MINIMAL + SIGNALS + E2E + 'counter = "Counter"\ncounter_values = 17\n',
+            "signals.e2e.CellStatus.c",
+            "at most 16",
+        ),
+        (
+            MINIMAL + SIGNALS + E2E + 'counter = "Counter"\nmax_delta = 16\n',
+            "signals.e2e.CellStatus.max_de",
+            "below 16",
+        ),
+        (
+            MINIMAL + SIGNALS + E2E + "crc = { polynomial = 7, byte = 5 }\n",
+            "signals.e2e.CellStatus.crc",
+            "within the 5",
+        ),
+        (MINIMAL + SIGNALS + E2E + "crc = { polynomial = 256, byte = 4 }\n", "signals.e2e.CellStatus.crc", "8 bits"),
     ],
 )
 def test_a_mistake_is_one_line_naming_file_key_and_what_was_expected(config, tmp_path, text, key, told):

@@ -12,8 +12,8 @@ from e2e.p11 import e2e_p11_protect
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bms_ukf.codec import Decoder
 from bms_ukf.dbc import own_matrix
+from bms_ukf.decoder import Decoder
 from bms_ukf.node import SampleEncoder
 from bms_ukf.records import NAN, Sample
 

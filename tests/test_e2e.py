@@ -1,13 +1,26 @@
-"""AUTOSAR E2E profile 11 A, against the specification's examples and an independent implementation."""
+"""E2E protection, ours and others', against the specification's examples and an independent implementation."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
 
 import e2e
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bms_ukf.e2e import COUNTER_WRONG, CRC_WRONG, Profile11A, Receiver, Sender
+from bms_ukf.e2e import (
+    COUNTER_WRONG,
+    CRC_WRONG,
+    Crc,
+    PresetName,
+    Profile,
+    Profile11A,
+    Receiver,
+    Sender,
+    preset,
+)
 
 PROFILE = Profile11A(data_id=0x0123, max_delta=7, timeout_ns=500)
 
@@ -109,3 +122,98 @@ def test_a_clock_that_jumps_back_does_not_open_the_window() -> None:
     receiver.check(sent[3], 10_000)
     assert receiver.check(sent[1], -10_000) == COUNTER_WRONG
     assert receiver.check(sent[4], -10_000) == 0
+
+
+# --- what a vehicle may send ------------------------------------------------------------------------------------------
+
+CATALOGUE = {  # check values over b"123456789" as CRC catalogues list them
+    Crc(8, 0x1D, 0xFF, 0xFF): 0x4B,  # SAE J1850
+    Crc(8, 0x2F, 0xFF, 0xFF): 0xDF,  # AUTOSAR
+    Crc(8, 0x31, 0x00, 0x00, reflect=True): 0xA1,  # MAXIM-DOW
+    Crc(8, 0xD5): 0xBC,  # DVB-S2
+    Crc(16, 0x1021, 0xFFFF): 0x29B1,  # IBM-3740
+    Crc(16, 0x8005, 0x0000, 0x0000, reflect=True): 0xBB3D,  # ARC
+    Crc(16, 0x1021, 0xFFFF, 0xFFFF, reflect=True): 0x906E,  # IBM-SDLC
+    Crc(32, 0x04C11DB7, 0xFFFFFFFF, 0xFFFFFFFF, reflect=True): 0xCBF43926,  # ISO-HDLC
+    Crc(32, 0xF4ACFB13, 0xFFFFFFFF, 0xFFFFFFFF, reflect=True): 0x1697D06A,  # AUTOSAR
+}
+
+
+@pytest.mark.parametrize(("crc", "expected"), CATALOGUE.items())
+def test_a_crc_has_the_check_value_of_the_catalogues(crc: Crc, expected: int) -> None:
+    assert crc.register()(b"123456789", crc.start()) ^ crc.xor_out == expected
+
+
+def sent_by(protect: Callable[[bytearray], None], count: int, length: int = 8) -> list[bytes]:
+    """Frames of an independent sender, one after the other."""
+    frame, made = bytearray(range(length)), []
+    frame[:3] = bytes(3)
+    for _ in range(count):
+        protect(frame)
+        made.append(bytes(frame))
+    return made
+
+
+P02_IDS = bytes(range(0x40, 0x50))
+SENDERS: dict[PresetName, tuple[list[int], Callable[[bytearray], None]]] = {
+    "P01": ([0x1234], lambda frame: e2e.p01.e2e_p01_protect(frame, 0x1234)),
+    "P11A": ([0x1234], lambda frame: e2e.p11.e2e_p11_protect(frame, 0x1234)),
+    "P01_LOW": (
+        [0x1234],
+        lambda frame: e2e.p01.e2e_p01_protect(frame, 0x1234, data_id_mode=e2e.p01.E2E_P01_DATAID_LOW),
+    ),
+    "P01_ALT": (
+        [0x1234],
+        lambda frame: e2e.p01.e2e_p01_protect(frame, 0x1234, data_id_mode=e2e.p01.E2E_P01_DATAID_ALT),
+    ),
+    "P02": (list(P02_IDS), lambda frame: e2e.p02.e2e_p02_protect(frame, P02_IDS)),
+    "P05": ([0x1234], lambda frame: e2e.p05.e2e_p05_protect(frame, 0x1234)),
+}
+
+
+@pytest.mark.parametrize("name", SENDERS)
+def test_frames_of_an_independent_sender_are_accepted_and_spoilt_ones_are_not(name: PresetName) -> None:
+    data_id, protect = SENDERS[name]
+    receiver = Receiver(preset(name, data_id))
+    for t, frame in enumerate(sent_by(protect, 40)):
+        spoilt = frame[:-1] + bytes([frame[-1] ^ 0x10])
+        assert receiver.check(spoilt, t) == CRC_WRONG
+        assert receiver.check(frame, t) == 0
+        assert receiver.check(frame, t) == COUNTER_WRONG
+
+
+@pytest.mark.parametrize("name", SENDERS)
+def test_another_data_id_is_refused(name: PresetName) -> None:
+    data_id, protect = SENDERS[name]
+    other = Receiver(preset(name, [n ^ (0x0101 if n > 0xFF else 1) for n in data_id]))
+    assert {other.check(frame, t) for t, frame in enumerate(sent_by(protect, 20))} == {CRC_WRONG}
+
+
+@pytest.mark.parametrize(("name", "data_id"), [("P01", [1, 2]), ("P01", [0x10000]), ("P02", [1] * 15), ("P05", [])])
+def test_a_data_id_that_the_profile_cannot_have_is_refused(name: PresetName, data_id: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"one number|16 bytes"):
+        preset(name, data_id)
+
+
+@given(payload=st.binary(min_size=8, max_size=8), at=st.integers(0, 6), order=st.sampled_from(["little", "big"]))
+def test_a_crc_may_stand_anywhere_and_cover_a_part(payload: bytes, at: int, order: Literal["little", "big"]) -> None:
+    """Against the catalogue's CRC-16/IBM-3740 over the bytes put together by hand."""
+    profile = Profile(
+        Crc(16, 0x1021, 0xFFFF), crc_byte=at, crc_order=order, covers=(1, 6), before=(b"\x07",), after=(b"\x09\x08",)
+    )
+    covered = bytes(payload[k] for k in range(1, 7) if k not in {at, at + 1})
+    right = e2e.crc.calculate_crc16(b"\x07" + covered + b"\x09\x08").to_bytes(2, order)
+    frame = payload[:at] + right + payload[at + 2 :]
+    check = profile.check()
+    assert check is not None
+    assert check(frame)
+    assert not check(frame[:at] + bytes([right[0] ^ 1]) + frame[at + 1 :])
+
+
+def test_a_rejected_counter_does_not_become_the_baseline() -> None:
+    """A replayed frame must not be accepted because the frame before it was a replay, too."""
+    receiver = Receiver(Profile(counter=lambda data: data[0], modulo=16, max_delta=8))
+    assert receiver.check(b"\x05", 0) == 0
+    replayed = [receiver.check(bytes([n]), 1) for n in (1, 2, 3, 4, 5)]
+    assert replayed == [COUNTER_WRONG] * 5
+    assert receiver.check(b"\x06", 2) == 0

@@ -11,17 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bms_ukf.codec import Decoder, Encoder
 from bms_ukf.dbc import own_matrix
+from bms_ukf.decoder import Decoder
+from bms_ukf.encoder import Encoder
 from bms_ukf.frames import Frame
 from bms_ukf.node import EstimateDecoder, SampleEncoder
-from bms_ukf.records import NAN, Estimate, Fault, Sample, Status
+from bms_ukf.records import NAN, Detail, Estimate, Fault, Sample, Source, Status
 
 # Made with cantools' encoder and the autosar-e2e package from SAMPLE and ESTIMATE: the first frame of each message.
 RECORDED = {
     "PackMeasurement": "f40039427a940000",
     "CellTemperatures": "e5000053f7ffffff",
     "CellVoltages": "c300003af7ffffff",
+    "SocDetail": "7e2018570102f47f",
     "BmsState": "ac004000b856b856",
     "SocQuality": "3710800839f82d01",
     "SocEstimate": "bd10b856f4010a00",
@@ -37,6 +39,7 @@ ESTIMATE = Estimate(
     status=Status.OK,
     faults=Fault.E2E,
 )
+DETAIL = Detail(soc_slewed=0.5574, source=Source.START, current_bias_A=-0.01)
 
 
 def estimate(**values: Any) -> Estimate:
@@ -45,7 +48,7 @@ def estimate(**values: Any) -> Estimate:
 
 def shown(frame: Frame) -> dict[str, Any]:
     """The signals of a frame of ours as cantools reads them."""
-    names = ["PackMeasurement", "SocEstimate", "SocQuality", "BmsState", "CellSoc"]
+    names = ["PackMeasurement", "SocEstimate", "SocQuality", "BmsState", "CellSoc", "SocDetail", "BusHealth"]
     return next(m for m in map(own_matrix().message, names) if m.frame_id == frame[0]).decode(frame[2])
 
 
@@ -57,14 +60,14 @@ def test_what_is_nan_is_sent_as_not_available() -> None:
 
 
 def test_recorded_good_frames_are_made_again_to_the_byte() -> None:
-    made = [*SampleEncoder().encode(SAMPLE), *Encoder().encode(ESTIMATE, accepted=1)]
+    made = [*SampleEncoder().encode(SAMPLE), *Encoder().encode(ESTIMATE, DETAIL, accepted=1)]
     assert [frame[2].hex() for frame in made] == list(RECORDED.values())
     assert [frame[0] for frame in made] == [own_matrix().message(name).frame_id for name in RECORDED]
 
 
 def test_an_estimate_comes_back_as_it_was_sent() -> None:
     decoder = EstimateDecoder()
-    state, quality, soc = Encoder().encode(ESTIMATE, accepted=1)
+    _, state, quality, soc = Encoder().encode(ESTIMATE, DETAIL, accepted=1)
     assert decoder.decode(*state, 5) is None
     assert decoder.decode(*quality, 6) is None
     got = decoder.decode(*soc, 7)
@@ -79,7 +82,7 @@ def test_an_estimate_comes_back_as_it_was_sent() -> None:
 
 def test_an_estimate_holds_only_what_was_received_since_the_one_before() -> None:
     decoder, encoder = EstimateDecoder(), Encoder()
-    for frame in encoder.encode(ESTIMATE, accepted=1):
+    for frame in encoder.encode(ESTIMATE, DETAIL, accepted=1):
         decoder.decode(*frame, 0)
     got = decoder.decode(*encoder.soc(ESTIMATE, accepted=2), 0)
     assert got is not None
@@ -98,7 +101,7 @@ def test_soc_round_trip_is_within_half_a_bit(soc: float, sigma: float, age: floa
 @pytest.mark.parametrize("status", [Status.INITIALISING, Status.INVALID])
 def test_a_soc_that_is_not_trusted_is_not_on_the_bus(status: Status) -> None:
     for cells, soc in ((1, 0.5), (4, np.full(4, 0.5))):
-        frames = Encoder(cells).encode(estimate(soc=soc, status=status), accepted=1)
+        frames = Encoder(cells).encode(estimate(soc=soc, status=status), Detail(), accepted=1)
         values = [(name, str(value)) for frame in frames for name, value in shown(frame).items()]
         socs = {value for name, value in values if name.startswith(("Soc", "Cell"))}
         assert socs == {"NotAvailable"}
@@ -114,7 +117,7 @@ def test_any_estimate_can_be_sent_and_nothing_wraps(
 ) -> None:
     values = Estimate(0, soc, sigma, pred, innovation, NAN, nis, age, Status.OK, faults)
     decoder = EstimateDecoder()
-    state, quality, last = Encoder().encode(values, accepted=1)
+    _, state, quality, last = Encoder().encode(values, DETAIL, accepted=1)
     decoder.decode(*state, 0)
     decoder.decode(*quality, 0)
     got = decoder.decode(*last, 0)
@@ -151,7 +154,7 @@ def test_each_message_counts_its_own_frames() -> None:
 
 def test_an_estimator_that_never_accepted_anything_does_not_move_a_counter() -> None:
     encoder = Encoder()
-    assert len({frame for _ in range(4) for frame in encoder.encode(Estimate(), accepted=0)}) == 3
+    assert len({frame for _ in range(4) for frame in encoder.encode(Estimate(), Detail(), accepted=0)}) == 4
 
 
 def test_a_pack_publishes_mean_spread_worst_cell_and_every_cell_in_turn() -> None:
@@ -167,12 +170,34 @@ def test_a_pack_publishes_mean_spread_worst_cell_and_every_cell_in_turn() -> Non
     )
     encoder, cells = Encoder(cells=4), {}
     for n in (1, 2):
-        page, state, quality, last = encoder.encode(pack, accepted=n)
+        page, detail, state, quality, last = encoder.encode(pack, DETAIL, accepted=n)
         values = shown(page)
         cells |= {name: value for name, value in values.items() if name.startswith("Cell")}
     assert [cells[f"Cell{k + 1}"] for k in range(4)] == pytest.approx(soc * 100)
     assert cells["Cell5"] == "NotAvailable"
     assert (shown(state)["SocMin"], shown(state)["SocMax"]) == (pytest.approx(49.0), pytest.approx(52.0))
+    assert (shown(detail)["MinCell"], shown(detail)["MaxCell"]) == (4, 2)
     assert (shown(quality)["WorstCell"], shown(quality)["Innovation"]) == (2, pytest.approx(-0.02))
     assert (shown(last)["Soc"], shown(last)["SocSigma"]) == (pytest.approx(50.5, abs=0.0013), pytest.approx(2.0))
     assert shown(last)["InformationAge"] == pytest.approx(1.0)
+
+
+def test_detail_says_by_what_the_soc_was_corrected_and_what_is_not_known_is_not_available() -> None:
+    got = shown(Encoder().detail(ESTIMATE, DETAIL, accepted=1))
+    assert (str(got["Source"]), got["MinCell"], got["MaxCell"]) == ("start", 1, 1)
+    assert (got["SocSlewed"], got["CurrentBias"]) == (pytest.approx(55.74), pytest.approx(-0.01))
+    got = shown(Encoder().detail(estimate(status=Status.INVALID), Detail(), accepted=1))
+    names = ["SocSlewed", "MinCell", "MaxCell", "CurrentBias"]
+    assert {str(got[name]) for name in names} == {"NotAvailable"}
+
+
+def test_source_words_and_numbers_are_those_of_the_records() -> None:
+    choices = own_matrix().find("SocDetail.Source")[1].choices
+    assert choices is not None
+    assert {int(number): str(word) for number, word in choices.items()} == {s.value: s.word for s in Source}
+
+
+def test_counts_on_the_bus_stop_at_their_largest_and_do_not_start_over() -> None:
+    names = ["FramesDropped", "FramesRefused", "FramesNotSent", "ClockSteps", "Reopened"]
+    got = shown(Encoder().health([1, 8191, 8192, 5, 10**9], accepted=1))
+    assert [got[name] for name in names] == [1, 8191, 8191, 5, 63]

@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bms_ukf.codec import Decoder, Encoder, SignalMap
+from bms_ukf import Estimator
 from bms_ukf.dbc import Matrix
+from bms_ukf.decoder import Decoder
+from bms_ukf.e2e import Crc, Profile
+from bms_ukf.encoder import Encoder
 from bms_ukf.errors import ConfigError
 from bms_ukf.frames import Outbox
 from bms_ukf.node import SampleEncoder
-from bms_ukf.records import NAN
+from bms_ukf.records import NAN, Fault, Sample
+from bms_ukf.signals import SignalMap
 
 FOREIGN = """
 VERSION ""
@@ -179,3 +183,137 @@ def test_the_other_vehicle_files_are_read_leniently(leaf: Path) -> None:
     assert Decoder(signals, matrix).decode(0x132, False, bytes(8), 0) is not None
     with pytest.raises(ConfigError, match="does not fit"):
         matrix.find("ID5D5RearDItemps.DI_lashAngle")
+
+
+# --- units, codes, ranges ---------------------------------------------------------------------------------------------
+
+UNITS = """
+VERSION ""
+BU_: A
+BO_ 513 U: 8 A
+ SG_ Milli : 0|24@1- (1,0) [0|0] "mA" A
+ SG_ Kilo : 24|16@1- (0.0001,0) [0|0] "kA" A
+ SG_ Bare : 40|16@1- (0.1,0) [0|0] "" A
+BO_ 514 V: 8 A
+ SG_ MilliVolt : 0|16@1+ (1,0) [0|0] "mV" A
+ SG_ Kelvin : 16|16@1+ (0.1,0) [0|0] "K" A
+ SG_ Fahrenheit : 32|16@1- (0.1,0) [0|0] "°F" A
+ SG_ Celsius : 48|8@1- (1,0) [0|0] "°C" A
+ SG_ Main : 56|2@1+ (1,0) [0|0] "" A
+VAL_ 514 Main 0 "open" 1 "closed" 3 "SNA" ;
+"""
+
+
+@pytest.fixture
+def units(tmp_path: Path) -> Matrix:
+    (tmp_path / "units.dbc").write_text(UNITS, encoding="cp1252")
+    return Matrix([tmp_path / "units.dbc"])
+
+
+@pytest.mark.parametrize(
+    ("current", "raw", "expected"),
+    [("U.Milli", -12345, -12.345), ("U.Kilo", 123, 12.3), ("U.Bare", -55, -5.5)],
+)
+def test_a_current_is_in_ampere_whatever_the_unit_of_the_dbc(units, current, raw, expected) -> None:
+    decoder = Decoder(SignalMap(current, "discharge", ["V.MilliVolt"]), units)
+    _, signal = units.find(current)
+    data = ((raw & (1 << signal.length) - 1) << signal.start).to_bytes(8, "little")
+    got = decoder.decode(513, False, data, 0)
+    assert got is not None
+    assert got.current_A == pytest.approx(expected)
+    assert [bool(b.warning) for b in decoder.bound] == [current == "U.Bare", False]
+
+
+@pytest.mark.parametrize(("name", "raw"), [("V.Kelvin", 2982), ("V.Fahrenheit", 770), ("V.Celsius", 25)])
+def test_a_temperature_is_in_degrees_celsius_whatever_the_unit_of_the_dbc(units, name, raw) -> None:
+    decoder = Decoder(SignalMap("U.Milli", "charge", ["V.MilliVolt"], temperature=[name]), units)
+    _, signal = units.find(name)
+    got = decoder.decode(514, False, (raw << signal.start | 3700).to_bytes(8, "little"), 0)
+    assert got is not None
+    assert (got.voltage_V, got.temperature_degC) == (pytest.approx(3.7), pytest.approx(25.0, abs=0.051))
+
+
+def test_a_stated_unit_overrules_the_dbc(units) -> None:
+    signals = SignalMap("U.Bare", "charge", ["V.MilliVolt"], unit={"U.Bare": "mA"})
+    (current, _) = Decoder(signals, units).bound
+    assert (current.bit, current.warning) == (pytest.approx(1e-4), "")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"current": "V.MilliVolt"}, r"signals is 'V.MilliVolt'; expected a current, but its unit in the DBC is 'mV'"),
+        ({"unit": {"U.Milli": "mV"}}, r"signals.unit is 'mV'; expected a unit of current: A, mA"),
+        ({"unit": {"U.Kilo": "A"}}, r"signals.unit is 'U.Kilo'; expected a signal that has a role"),
+        ({"plausible": {"U.Milli": [5.0, 5.0]}}, r"signals.plausible is \[5.0, 5.0\]; expected \[lowest, highest\]"),
+        ({"contactor": "V.Main", "contactor_open": ["opened"]}, r"'opened'; expected raw values .* or open, closed"),
+        ({"contactor": "V.Main", "contactor_open": [4]}, r"contactor_open is 4; expected raw values .* 0 to 3"),
+        ({"contactor": "V.Main"}, r"contactor_open: expected the values of V.Main that mean open"),
+        ({"e2e": {"W": Profile()}}, r"signals.e2e is 'W'; expected a message with a signal that has a role"),
+    ],
+)
+def test_a_map_that_cannot_be_meant_is_one_line(units, change, told) -> None:
+    fitting = {"current": "U.Milli", "current_positive": "charge", "cell_voltage": ["V.MilliVolt"]}
+    with pytest.raises(ConfigError, match=told):
+        Decoder(SignalMap(**(fitting | change)), units, source="mine.toml")
+
+
+def test_a_value_beyond_its_plausible_range_is_neither_used_nor_taken_for_missing(units, cell) -> None:
+    signals = SignalMap("U.Milli", "charge", ["V.MilliVolt"], plausible={"U.Milli": [-2000, 3000]})
+    decoder, estimator = Decoder(signals, units), Estimator(cell)
+    estimator.step(Sample(0, 1.0, 3.7, 25.0))
+    faults = []
+    for k, milliampere in enumerate((-2000, 3000, 3001, -2001), start=1):
+        sample = decoder.decode(513, False, (milliampere & 0xFFFFFF).to_bytes(8, "little"), k)
+        assert sample is not None
+        faults.append(estimator.step(sample).faults)
+    assert faults == [Fault.NONE, Fault.NONE, Fault.CURRENT_IMPLAUSIBLE, Fault.CURRENT_IMPLAUSIBLE]
+
+
+def test_contactors_are_heard_without_a_sample_being_made_of_them(units) -> None:
+    signals = SignalMap(
+        "U.Milli",
+        "charge",
+        ["V.MilliVolt"],
+        contactor="V.Main",
+        contactor_open=["open"],
+        not_available={"V.Main": [3]},
+    )
+    decoder = Decoder(signals, units)
+    heard = []
+    for t_ns, raw in ((1, 0), (2, 1), (3, 3)):
+        decoder.decode(514, False, (raw << 56).to_bytes(8, "little"), t_ns)
+        heard.append((decoder.contactor.is_open, decoder.contactor.t_ns))
+    assert heard == [(True, 1), (False, 2), (False, None)]
+
+
+def test_current_through_cells_in_parallel_is_shared(units) -> None:
+    got = Decoder(SignalMap("U.Milli", "charge", ["V.MilliVolt"], parallel_cells=3), units).decode(
+        513, False, (3000).to_bytes(8, "little"), 0
+    )
+    assert got is not None
+    assert got.current_A == pytest.approx(-1.0)
+
+
+LEAF_E2E = {  # byte 7 is a CRC over the other seven, the low two bits of byte 6 a counter
+    "x1DB": Profile(Crc(8, 0x85), crc_byte=7, counter=lambda data: data[6] & 3, modulo=4, max_delta=2)
+}
+
+
+def test_every_0x1db_of_a_real_leaf_passes_its_crc_and_counter_and_a_flipped_bit_does_not(leaf: Path) -> None:
+    matrix = Matrix([leaf / "EV-can_ZE1.dbc"], strict=False)
+    signals = SignalMap(
+        "x1DB.LB_Current", "charge", pack_voltage="x1DB.LB_Total_Voltage", series_cells=96, e2e=LEAF_E2E
+    )
+    decoder, spoilt = Decoder(signals, matrix), Decoder(signals, matrix)
+    for line in (leaf / "leaf_ZE1_62kWh_EV-CANeplus2.candump.log").read_text().splitlines():
+        stamp, _, frame = line.split()
+        identifier, data = frame.split("#")
+        if identifier == "1DB":
+            payload, t_ns = bytes.fromhex(data), round(float(stamp[1:-1]) * 1e9)
+            decoder.decode(0x1DB, False, payload, t_ns)
+            spoilt.decode(0x1DB, False, bytes([payload[0] ^ 0x20]) + payload[1:], t_ns)
+    assert decoder.counters.accepted > 1500
+    assert decoder.counters.refused <= decoder.counters.accepted // 100, "the recorder lost a frame now and then"
+    assert decoder.counters.crc == 0
+    assert spoilt.counters.accepted == 0

@@ -7,7 +7,7 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,13 +64,20 @@ class Candump:
     def __init__(self, log: Path) -> None:
         self._log = log
 
-    def frames(self, at_least: int, timeout_s: float = 20.0) -> list[LoggedFrame]:
-        """All frames so far, once there are `at_least` so many; fails with what was seen if they do not come."""
+    def frames(self, at_least: int, timeout_s: float = 20.0, ids: Collection[int] | None = None) -> list[LoggedFrame]:
+        """All frames so far with one of these ids (None: with any), once there are `at_least` so many.
+
+        Fails with what was seen if they do not come.
+        """
         deadline = time.monotonic() + timeout_s
-        while (text := self._log.read_text()).count("\n") < at_least:
+        while True:
+            text = self._log.read_text()
+            seen = [_parse(line) for line in text[: text.rindex("\n")].splitlines()] if "\n" in text else []
+            seen = [frame for frame in seen if ids is None or frame.arbitration_id in ids]
+            if len(seen) >= at_least:
+                return seen
             assert time.monotonic() < deadline, f"candump saw fewer than {at_least} frames:\n{text}"
             time.sleep(0.02)
-        return [_parse(line) for line in text[: text.rindex("\n")].splitlines()] if text else []
 
 
 @pytest.fixture

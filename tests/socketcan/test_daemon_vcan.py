@@ -87,11 +87,14 @@ class Daemon:
         return self.process.poll() is None
 
     def stop(self, number: int) -> float:
-        """How long it took to end, in seconds."""
+        """How long it took to leave the bus, in seconds; a slow guest takes longer to end a process."""
         started = time.monotonic()
         self.process.send_signal(number)
+        while "stopped: " not in self.stderr() and self.process.poll() is None:
+            time.sleep(0.01)
+        took_s = time.monotonic() - started
         self.process.wait(20.0)
-        return time.monotonic() - started
+        return took_s
 
 
 class Answers(NamedTuple):
@@ -143,16 +146,16 @@ def daemon(vcan, config, tmp_path) -> Iterator[Daemon]:
     assert daemon.process.returncode == 0, daemon.stderr()
     assert "stopped: " in daemon.stderr()
     assert "Traceback" not in daemon.stderr()
-    assert took_s < 2.0, "a second, and what a slow guest takes to end a process"
+    assert took_s < 1.0
 
 
 def test_soc_frames_answer_the_vehicles_and_tell_its_silence_as_candump_sees(vcan, candump, daemon, vehicle):
     scans = 40
     with vcan.bus() as bus:
-        unasked = len(candump.frames(at_least=0))
+        unasked = len(candump.frames(at_least=0, ids=ANSWER))
         vehicle.drive(bus, scans)
-        frames = candump.frames(at_least=unasked + 6 * scans)
-    answered = [frame for frame in frames if frame.arbitration_id in ANSWER][-3 * scans :]
+        frames = candump.frames(at_least=unasked + 3 * scans, ids=ANSWER)
+    answered = frames[-3 * scans :]
     assert [frame.arbitration_id for frame in answered] == list(ANSWER) * scans
     told = read([(frame.arbitration_id, frame.data) for frame in answered])
     assert told.refused == 0
@@ -164,7 +167,7 @@ def test_soc_frames_answer_the_vehicles_and_tell_its_silence_as_candump_sees(vca
     for counters in told.alive.values():
         assert {(b - a) % 15 for a, b in itertools.pairwise(counters)} == {1}
 
-    predicted = candump.frames(at_least=len(frames) + 9)[len(frames) :][:9]
+    predicted = candump.frames(at_least=len(frames) + 9, ids=ANSWER)[len(frames) :][:9]
     held = read([(frame.arbitration_id, frame.data) for frame in predicted])
     for arbitration_id, counters in held.alive.items():
         assert counters == told.alive[arbitration_id][-1:] * 3
@@ -222,7 +225,7 @@ def test_an_interrupt_in_mid_traffic_ends_it_at_once(vcan, config, vehicle, tmp_
         took_s = daemon.stop(signal.SIGINT)
     assert daemon.process.returncode == 130
     assert "Traceback" not in daemon.stderr()
-    assert took_s < 2.0
+    assert took_s < 1.0
 
 
 @pytest.mark.parametrize("trouble", ["down", "removed"])
@@ -262,5 +265,5 @@ def test_cosim_in_lockstep_gives_the_same_trace_as_on_a_virtual_bus(vcan, candum
     for column in ("soc", "soc_sigma", "voltage_pred_V", "innovation_V", "nis"):
         assert np.array_equal(real[column], virtual[column], equal_nan=True), column
     assert not math.isnan(summary["rmse_pct"])
-    frames = candump.frames(at_least=6 * len(real))
-    assert len(frames) == summary["frames_in"] + summary["frames_out"] == 6 * len(real)
+    frames = candump.frames(at_least=8 * len(real))
+    assert len(frames) == summary["frames_in"] + summary["frames_out"] == 8 * len(real)

@@ -1,0 +1,133 @@
+"""The way in: received frames to samples, with signs, units and scales as the DBC and the signal map say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from cantools.database.can import Message
+
+from bms_ukf.dbc import Extract, Field, Matrix, own_matrix
+from bms_ukf.errors import ConfigError
+from bms_ukf.frames import Inbox, Read
+from bms_ukf.records import NAN, PerCell, Sample
+from bms_ukf.signals import Bound, SignalMap, bind
+
+
+@dataclass(slots=True)
+class Contactor:
+    """What was last heard of the contactors."""
+
+    is_open: bool = False
+    t_ns: int | None = None  # when that was; None: never, or the signal said that it does not know
+
+
+class Decoder(Inbox[Sample]):
+    """Turns received frames into samples; see `Inbox.decode`.
+
+    Every accepted frame with mapped signals gives a `Sample` of what it carries, the rest NaN. The sample and its
+    arrays are the decoder's own: read them before the next `decode`, or copy them. The arrays are not to be written to,
+    nor what the frame does not carry.
+    """
+
+    def __init__(
+        self,
+        signals: SignalMap | None = None,
+        matrix: Matrix | None = None,
+        *,
+        cells: int = 1,
+        source: str | Path = "signals",
+    ) -> None:
+        """`source` is the file to be named in a ConfigError, raised if the map does not fit the DBC or the cells."""
+        signals = signals or SignalMap.default(cells)
+        self.bound = bound = bind(signals, matrix or own_matrix(), cells, source)
+        self.contactor = Contactor()
+        sensors = sum(b.role == "temperature" for b in bound)
+        reads: dict[Message, Read[Sample]] = {}
+        for message in dict.fromkeys(b.message for b in bound):
+            here = [b for b in bound if b.message is message]
+            reads[message] = _reader(message, here, self.contactor, cells, max(sensors, 1), source)
+        super().__init__(reads, signals.e2e)
+
+
+def _reader(
+    message: Message, bound: list[Bound], contactor: Contactor, cells: int, sensors: int, source: str | Path
+) -> Read[Sample]:
+    """The function from a payload of `message` to a sample, by way of its multiplexer if it has one."""
+
+    def page_reader(bound: list[Bound]) -> Read[Sample]:
+        return _page_reader(bound, contactor, cells, sensors)
+
+    multiplexers = {b.signal.multiplexer_signal for b in bound} - {None}
+    if not multiplexers:
+        return page_reader(bound)
+    multiplexer = message.get_signal_by_name(str(multiplexers.pop()))
+    if multiplexers or multiplexer.multiplexer_signal is not None:
+        raise ConfigError(source, key="signals", value=message.name, expected="messages with one level of multiplexing")
+    select = Field(message, multiplexer).raw()
+    always = [b for b in bound if b.signal.multiplexer_ids is None]
+    pages = {
+        page: page_reader([b for b in bound if page in (b.signal.multiplexer_ids or (page,))])
+        for page in {page for b in bound for page in b.signal.multiplexer_ids or ()}
+    }
+    other = page_reader(always) if always else _nothing
+
+    def read(data: bytes, t_ns: int) -> Sample | None:
+        return pages.get(select(data), other)(data, t_ns)
+
+    return read
+
+
+def _page_reader(bound: list[Bound], contactor: Contactor, cells: int, sensors: int) -> Read[Sample]:
+    """The function from a payload to a sample made once, in which only what the page carries is ever set."""
+    measured = [b for b in bound if b.role != "contactor"]
+    switch = next((b.extract for b in bound if b.role == "contactor"), None)
+    current = next((b.extract for b in bound if b.role == "current"), None)
+    voltage = _gather({b.index: b.extract for b in bound if b.role == "voltage"}, cells)
+    temperature = _gather({b.index: b.extract for b in bound if b.role == "temperature"}, sensors)
+    sample = Sample(0, NAN, _unset(cells), _unset(sensors))
+
+    def read(data: bytes, t_ns: int) -> Sample:
+        sample.t_ns = t_ns
+        if current is not None:
+            sample.current_A = current(data)
+        if voltage is not None:
+            sample.voltage_V = voltage(data)
+        if temperature is not None:
+            sample.temperature_degC = temperature(data)
+        return sample
+
+    def read_switch(data: bytes, t_ns: int) -> Sample | None:
+        if switch is not None:
+            state = switch(data)
+            contactor.is_open, contactor.t_ns = state == 1.0, None if math.isnan(state) else t_ns
+        return read(data, t_ns) if measured else None
+
+    return read if switch is None else read_switch
+
+
+def _gather(extracts: dict[int, Extract], count: int) -> Callable[[bytes], PerCell] | None:
+    """The function from a payload to a number, or for `count` > 1 to an array with NaN where there is no signal."""
+    if not extracts:
+        return None
+    if count == 1:
+        return extracts[0]
+    values = np.full(count, NAN)
+
+    def gather(data: bytes) -> PerCell:
+        for k, extract in extracts.items():
+            values[k] = extract(data)
+        return values
+
+    return gather
+
+
+def _unset(count: int) -> PerCell:
+    return NAN if count == 1 else np.full(count, NAN)
+
+
+def _nothing(_: bytes, __: int) -> Sample | None:
+    return None

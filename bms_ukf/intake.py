@@ -1,0 +1,46 @@
+"""From a received frame to samples the estimator may take: checked, decoded, free of offset, in the order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bms_ukf.alignment import Alignment
+from bms_ukf.decoder import Decoder
+from bms_ukf.frames import Counters
+from bms_ukf.records import Sample
+from bms_ukf.zero_current import ZeroCurrent
+
+
+class Intake:
+    """The way in, the same for the bus and for a log of it."""
+
+    def __init__(self, decoder: Decoder, zero: ZeroCurrent | None = None, alignment: Alignment | None = None) -> None:
+        """None: there is no contactor signal; every signal arrives as late as the others."""
+        self.decoder, self.zero = decoder, zero
+        self._alignment = alignment or Alignment()
+
+    @property
+    def counters(self) -> Counters:
+        """What became of the received frames."""
+        return self.decoder.counters
+
+    @property
+    def behind_ns(self) -> int:
+        """How much older than the frame a sample may be that comes of it."""
+        return self._alignment.behind_ns
+
+    def take(
+        self, arbitration_id: int, is_extended_id: bool, data: bytes, t_ns: int, *, classic: bool = True
+    ) -> Sequence[Sample]:
+        """The samples that are due with a frame received at `t_ns`, none if it was refused; see `Inbox.decode`."""
+        sample = self.decoder.decode(arbitration_id, is_extended_id, data, t_ns, classic=classic)
+        if sample is None:
+            return ()
+        if self.zero is not None:
+            contactor = self.decoder.contactor
+            sample.current_A = self.zero.corrected(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
+        return self._alignment.put(sample)
+
+    def due(self, t_ns: int) -> Sequence[Sample]:
+        """The samples that are due at `t_ns` though no frame came."""
+        return self._alignment.due(t_ns)

@@ -1,0 +1,104 @@
+"""What a set of published frames says that no single step does: of the whole scan, of the way the SoC came, slewed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Source, Status
+
+REST_NS = 600_000_000_000  # so long without a load, and a voltage is that of a rested cell
+REST_C = 0.02  # what is no load, as a share of the capacity per hour
+HELD_S = 5.0  # the current is taken to have flowed for no longer than this
+
+# Wrong with one sample, and no longer with the next: a scan is many samples, and what it publishes tells of them all.
+PASSING = (
+    Fault.CURRENT_MISSING
+    | Fault.CURRENT_IMPLAUSIBLE
+    | Fault.VOLTAGE_IMPLAUSIBLE
+    | Fault.TEMPERATURE_IMPLAUSIBLE
+    | Fault.INNOVATION_REJECTED
+    | Fault.TIME_REVERSED
+    | Fault.NUMERIC
+)
+_AVAILABLE = (Status.OK, Status.DEGRADED)
+_COMPARED = ("voltage_pred_V", "innovation_V", "nis")
+
+
+class Publication:
+    """Follows every step, and completes the estimate that is published with what the steps before it said."""
+
+    def __init__(self, capacity_Ah: float, slew_per_s: float = 0.001) -> None:
+        """`slew_per_s` is how fast `soc_slewed` may be corrected, beyond the charge that has flowed."""
+        self.detail = Detail()
+        self._capacity_As, self._slew_per_s = capacity_Ah * 3600.0, slew_per_s
+        self._held: dict[str, PerCell] = {}
+        self._passed = Fault.NONE
+        self._load_ns: int | None = None  # when there last was one, or might have been
+        self._current_ns: int | None = None
+        self._published_ns: int | None = None
+        self._moved = 0.0  # SoC, by the charge since the last set
+
+    def follow(self, sample: Sample, estimate: Estimate) -> None:
+        """Take note of a step."""
+        self._passed |= estimate.faults & PASSING
+        current_A = sample.current_A
+        if math.isfinite(current_A):
+            last_ns, self._current_ns = self._current_ns, sample.t_ns
+            if last_ns is not None:
+                self._moved += abs(current_A) * min((sample.t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
+            if abs(current_A) * 3600.0 > REST_C * self._capacity_As:
+                self._load_ns = sample.t_ns
+        if Fault.CURRENT_MISSING in estimate.faults or self._load_ns is None:
+            self._load_ns = sample.t_ns
+        self._hold(estimate)
+        if estimate.status in _AVAILABLE and _fused(estimate.age_s):
+            first = self.detail.source is Source.NONE
+            rested = sample.t_ns - self._load_ns >= REST_NS
+            self.detail.source = Source.START if first else Source.REST if rested else Source.VOLTAGE
+
+    def complete(self, estimate: Estimate, t_ns: int, shown: Fault = Fault.NONE) -> Detail:
+        """Write what the steps since the last set said into `estimate`, with the faults `shown`; returns the rest."""
+        for name, values in self._held.items():
+            if isinstance(values, float):
+                setattr(estimate, name, values)
+            else:
+                np.copyto(getattr(estimate, name), values, where=~np.isnan(values))
+        self._held = {}
+        shown |= self._passed
+        self._passed = Fault.NONE
+        if shown:
+            estimate.faults |= shown
+            if estimate.status is Status.OK:
+                estimate.status = Status.DEGRADED
+        self._slew(estimate, t_ns)
+        return self.detail
+
+    def _hold(self, estimate: Estimate) -> None:
+        if isinstance(estimate.innovation_V, float):
+            if not math.isnan(estimate.innovation_V):
+                for name in _COMPARED:
+                    self._held[name] = getattr(estimate, name)
+            return
+        compared = ~np.isnan(estimate.innovation_V)
+        if compared.any():
+            for name in _COMPARED:
+                values = getattr(estimate, name)
+                held = self._held.setdefault(name, np.full(len(values), NAN))
+                np.copyto(held, values, where=compared)  # type: ignore[arg-type]
+
+    def _slew(self, estimate: Estimate, t_ns: int) -> None:
+        available = estimate.status in _AVAILABLE
+        soc = float(np.mean(estimate.soc)) if available else NAN
+        shown = self.detail.soc_slewed
+        if not math.isnan(shown) and self._published_ns is not None:
+            step = self._moved + self._slew_per_s * max(t_ns - self._published_ns, 0) * 1e-9
+            soc = min(max(soc, shown - step), shown + step) if available else NAN
+        self.detail.soc_slewed = soc
+        self._published_ns, self._moved = t_ns, 0.0
+
+
+def _fused(age_s: PerCell) -> bool:
+    """Whether a voltage was used with this very step."""
+    return age_s == 0.0 if isinstance(age_s, float) else bool((age_s == 0.0).any())

@@ -1,0 +1,24 @@
+"""A log line that may come with every frame, written seldom."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+INTERVAL_S = 10.0
+
+
+class Seldom:
+    """Writes the first of its lines at once, then at most one in INTERVAL_S with the number of those left out."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log, self._next_s, self._left_out = log, 0.0, 0
+
+    def warning(self, text: str, *values: object) -> None:
+        now_s = time.monotonic()
+        if now_s < self._next_s:
+            self._left_out += 1
+            return
+        more = f" ({self._left_out} more since the last such line)" if self._left_out else ""
+        self._log.warning(f"{text}%s", *values, more)
+        self._next_s, self._left_out = now_s + INTERVAL_S, 0

@@ -1,0 +1,38 @@
+"""A scan ends when every cell has been read; a cell that says nothing does not hold the others up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from bms_ukf.records import Sample
+from bms_ukf.scan import Scan
+
+
+def page(*cells: int, of: int = 6) -> Sample:
+    voltage = np.full(of, math.nan)
+    voltage[list(cells)] = 3.7
+    return Sample(0, voltage_V=voltage)
+
+
+@pytest.mark.parametrize(
+    ("pages", "ends"),
+    [
+        ([page(0, 1, 2), page(3, 4, 5)] * 2, [False, True, False, True]),
+        ([page(3, 4, 5), page(0, 1, 2)] * 2, [False, True, False, True]),  # whichever page comes last
+        ([page(0, 1, 2), page(3, 4)] * 3, [False, False, True, False, True, False]),  # the last cell is dead
+        ([page(1, 2), page(3, 4, 5)] * 3, [False, False, True, False, True, False]),  # the first one is
+        ([page(0, 1, 2), page(0, 1, 2), page(3, 4, 5)], [False, True, True]),  # a page was lost
+        ([page(), page(0), page()], [False, False, False]),
+    ],
+)
+def test_the_end_of_a_scan(pages: list[Sample], ends: list[bool]) -> None:
+    scan = Scan(6)
+    assert [scan.ends_with(sample) for sample in pages] == ends
+
+
+def test_every_voltage_of_a_single_cell_is_a_scan() -> None:
+    scan = Scan(1)
+    assert [scan.ends_with(Sample(0, voltage_V=v)) for v in (3.7, math.nan, 3.7)] == [True, False, True]
