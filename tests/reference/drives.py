@@ -14,12 +14,12 @@ from bms_ukf import CellParams, Estimator, Tuning
 from bms_ukf.kernel import layout
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
-# Sigma points alone: neither the gate nor the quadrature for wide beliefs (`test_wide`) steps in.
-PLAIN = {"gate_sigmas": 1e6, "wide_soc_sigma": 0.5}
+# Sigma points alone: neither the gate nor the quadrature for wide beliefs (`test_wide`) steps in, nothing is adapted.
+PLAIN = {"gate_sigmas": 1e6, "wide_soc_sigma": 0.5, "adaptive": False, "current_bias": False}
 
 
-def variant(n_rc: int, hysteresis: bool, core: bool = False) -> CellParams:
-    """CELL with so many RC pairs, with or without hysteresis and a core of its own temperature."""
+def variant(n_rc: int, hysteresis: bool, core: bool = False, uneven: bool = False) -> CellParams:
+    """CELL with so many RC pairs, perhaps with hysteresis, a core of its own temperature, errors that are `uneven`."""
     data = synthetic_cell.nonlinear()
     dynamics, noise = data["dynamics"], data["noise"]
     if n_rc == 1:
@@ -38,6 +38,9 @@ def variant(n_rc: int, hysteresis: bool, core: bool = False) -> CellParams:
         noise["hysteresis_sigma_V"] = 0.003
     if core:
         data["thermal"] = {"core_K_per_W": 3.0, "core_tau_s": 90.0}
+    if uneven:
+        noise |= {"soc": [0.0, 0.5, 1.0], "temperature_degC": [5.0, 25.0]}
+        noise["error_scale"] = [[3.0, 0.8, 2.0], [1.5, 0.5, 1.2]]
     return synthetic_cell.cell_of(data)
 
 
