@@ -8,7 +8,8 @@ innovations are small whatever SoC is: so it only ever grows from there, and nev
 
 r0 is told from changes. From one voltage to the next the innovation moves by what the ohmic drop moved, times what r0 is
 off; the slow errors of OCV, SoC and polarisation stay as they were, and so does an offset of the current sensor, which
-cancels in a difference. An r0 and an offset that were both told from the level of the voltage could not be told apart.
+cancels in a difference. Only a step of the current tells: where it stands still, a difference is the sensor's noise, by
+which the prediction moves and the cell does not, and r0 would be told to be nothing. An r0 and an offset that were both told from the level of the voltage could not be told apart.
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ def learn(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         otherwise = real(p, R0_ELSE) * moved
         gain = r0_var * moved / (r0_var * moved * moved + white + otherwise * otherwise)
         fused = y[W * k.Y_FUSE + c] > real(p, k.IGNORE)
-        told = compared & fused & (since <= real(p, R0_STEP_S)) & (gain * change - gain * change == zero)
+        excited = abs(moved) > y[W * k.Y_R0 + c] * p[k.P_EXCITED]
+        told = compared & fused & excited & (since <= real(p, R0_STEP_S)) & (gain * change - gain * change == zero)
         w[W * k.H_R0_VAR + c] = r0_var - gain * moved * r0_var if told else r0_var
         w[W * k.H_R0_SCALE + c] = clamp(r0 - gain * change, real(p, R0_LEAST), real(p, R0_MOST)) if told else r0
         # What a measurement leaves of its innovation is the share of its noise in the variance.

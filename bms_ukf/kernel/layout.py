@@ -115,9 +115,10 @@ P_CACHE_TEMPERATURE = 41  # a cached table row serves until the temperature has 
 P_STILL = 42  # a current that moves by no more is the same, A
 P_PARASITIC = 43  # one sigma of what a cell that seems to rest may yet give, A
 P_ADAPT = 44  # 1: the innovations tell r0 and the size of the fast voltage error
-P_OCV = 45  # the two table descriptors, see the T_* offsets
-P_DYN = 51
-PARAMS_HEADER = 57
+P_EXCITED = 45  # a current that moves by more shows what r0 is, A
+P_OCV = 46  # the two table descriptors, see the T_* offsets
+P_DYN = 52
+PARAMS_HEADER = 58
 
 # A table descriptor: rows over temperature, knots over SoC, both uniform.
 T_OFFSET = 0  # where its numbers start in `params`

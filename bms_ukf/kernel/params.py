@@ -97,6 +97,7 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     p[k.P_SOC_SIGMA_INVALID] = tuning.soc_sigma_invalid
     p[k.P_CACHE_TEMPERATURE] = CACHE_TEMPERATURE_K
     p[k.P_ADAPT] = float(tuning.adaptive)
+    p[k.P_EXCITED] = capacity_Ah / 10
     p[k.P_INITIAL_SOC] = tuning.initial_soc
     p[k.P_INITIAL_SIGMA] = tuning.initial_soc_sigma
     p[k.P_WIDE_SIGMA] = tuning.wide_soc_sigma

@@ -15,6 +15,7 @@ from bms_ukf.kernel.srukf import predict
 
 # Below this a noise factor is not distinguishable from zero, and zero ends in 0/0 (`srukf.triangularise`). V, SoC or A.
 TINY_ROOT = 1e-12
+R0_SHAPE = 0.1  # share of r0 by which a good fit may have it wrong
 RESOLVED = 1e-4  # of a variance: a float32 root moves by 1 part in 20 000, of which rounding is a part in 1000
 
 
@@ -125,7 +126,7 @@ def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         knee = y[W * (k.Y_DYN + k.D_KNEE) + c]
         u = i / knee
         scale = w[W * k.H_R0_SCALE + c]
-        scale = scale if is_number(scale) else one
+        scale = beyond_shape(p, scale if is_number(scale) else one)
         ohmic = r0 * knee * asinh(p, u)
         r0 *= scale
         drop = ohmic * scale
@@ -135,6 +136,18 @@ def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         y[W * k.Y_DROP_SIGMA + c] = drop if unknown else p[k.P_R0_REL] * y[W * (k.Y_DYN + k.D_ERROR) + c] * drop
         if m.bias:
             y[W * k.Y_DROP_SLOPE + c] = r0 / math.sqrt(one + u * u)
+
+
+@inline
+def beyond_shape(p: Any, scale: Any) -> Any:
+    """Of a tracked r0, as a multiple of the cell file's, what the shape of the circuit does not explain.
+
+    A cell file that has the fast resistance a little wrong has made up for it in the first RC pair; to correct the one
+    alone would make the sum wrong.
+    """
+    margin = real(p, R0_SHAPE)
+    away = scale - real(p, 1)
+    return scale - clamp(away, -margin, margin)
 
 
 @inline
