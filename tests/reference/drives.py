@@ -78,6 +78,20 @@ def steady() -> CellParams:
     return synthetic_cell.cell_of(data)
 
 
+def terminal(
+    cell: CellParams, soc: float, current: np.ndarray, rate_hz: float = 1.0, r0: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """SoC and terminal voltage of a `steady` cell at 25 degC that was at rest at `soc`, with `r0` times its r0."""
+    moved = np.where(current < 0, cell.cell.coulombic_efficiency, 1.0) * current
+    soc_after = soc - np.cumsum(moved) / rate_hz / (3600 * cell.cell.capacity_Ah)
+    r = {key: float(value) for key, value in cell.dynamics_at(0.6, 25.0).items()}
+    voltage = cell.ocv_V(soc_after, 25.0) - r0 * r["r0_ohm"] * r["r0_knee_A"] * np.arcsinh(current / r["r0_knee_A"])
+    for j in range(1, cell.dynamics.n_rc + 1):
+        a = math.exp(-1 / rate_hz / r[f"tau{j}_s"])
+        voltage -= lfilter([1 - a], [1, -a], r[f"r{j}_ohm"] * current)
+    return soc_after, voltage
+
+
 def float32_against_float64(rate_hz: int, steps: int) -> tuple[float, float]:
     """Largest difference of SoC after the first tenth, over a cycling load, and how far SoC travelled."""
     cell = steady()
@@ -87,12 +101,7 @@ def float32_against_float64(rate_hz: int, steps: int) -> tuple[float, float]:
     for _ in range(5):  # charging loses a percent, so it takes more
         moved = np.where(current < 0, cell.cell.coulombic_efficiency, 1.0) * current
         current -= moved.mean()
-    soc = 0.75 - np.cumsum(moved) / rate_hz / (3600 * cell.cell.capacity_Ah)
-    r = {key: float(value) for key, value in cell.dynamics_at(0.6, 25.0).items()}
-    voltage = cell.ocv_V(soc, 25.0) - r["r0_ohm"] * r["r0_knee_A"] * np.arcsinh(current / r["r0_knee_A"])
-    for j in (1, 2):
-        a = math.exp(-1 / rate_hz / r[f"tau{j}_s"])
-        voltage -= lfilter([1 - a], [1, -a], r[f"r{j}_ohm"] * current)
+    soc, voltage = terminal(cell, 0.75, current, rate_hz)
     voltage += 0.003 * rng.standard_normal(steps)
     t_ns = np.round(t * 1e9).astype(np.int64)
     f64, f32 = (
