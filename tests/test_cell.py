@@ -90,6 +90,9 @@ def test_a_good_file_is_read_as_it_stands(tmp_path, data):
         ("cell.voltage_limits_V", [2.9], ["cell.voltage_limits_V", "at least 2"]),
         ("dynamics.tau1_s.3", [500.0] * 5, ["tau1_s below dynamics.tau2_s"]),
         ("ocv.docv_dT_V_per_K", [0.0] * 101, ["docv_dT_V_per_K only with a single"]),
+        # A table of where the model errs, in part.
+        ("noise.error_scale", [[1.0, 2.0]], ["noise.soc, temperature_degC and error_scale together or not at all"]),
+        ("noise.soc", [0.0, 1.0], ["noise.soc, temperature_degC and error_scale together or not at all"]),
         # Consistent in itself, not with the rest.
         ("cell.voltage_limits_V", [1.0, 2.0], ["ocv.voltage_V near cell.voltage_limits_V"]),
     ],

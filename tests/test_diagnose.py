@@ -73,7 +73,7 @@ def test_the_truth_is_the_curves_integral_over_every_one_of_its_pieces(cell, fou
 def test_the_compiled_filter_predicts_the_same_mean_and_variance(cell, soc):
     diagnosis = diagnose.diagnose(cell, soc)
     for row in diagnosis["bias"]:
-        record = Record(cell, Tuning(gate_sigmas=1e6))
+        record = Record(cell, Tuning(gate_sigmas=1e6, current_bias=False))
         record.tick(0.0, 0.0, 3.7, 25.0)
         sigmas = [row["soc_sigma"], cell.noise.v_rc1_sigma_V, cell.noise.v_rc2_sigma_V]
         record.x, record.root = [soc, 0.0, 0.0], np.diag(sigmas)

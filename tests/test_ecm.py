@@ -26,7 +26,7 @@ steps = st.floats(1e-4, 4.9)  # below the current's timeout: all of it is counte
 
 def started(cell: CellParams, soc: float = 0.5, temperature: float = 25.0) -> Record:
     """A record that has begun at `soc` with relaxed RC voltages, and has no voltage to correct it from here on."""
-    record = Record(cell, Tuning(initial_soc=soc))
+    record = Record(cell, Tuning(initial_soc=soc, current_bias=False))
     ocv = float(cell.ocv_V(soc, temperature))
     record.tick(0.0, 0.0, ocv, temperature)
     record.x = [soc, 0.0, 0.0]

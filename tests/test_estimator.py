@@ -18,7 +18,17 @@ from bms_ukf import Estimate, Estimator, Fault, Sample, Status, Tuning
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
 SECOND = 10**9
 NAN = math.nan
-PER_CELL = ("soc", "soc_sigma", "voltage_pred_V", "innovation_V", "innovation_var_V2", "nis", "age_s")
+PER_CELL = (
+    "soc",
+    "soc_sigma",
+    "voltage_pred_V",
+    "innovation_V",
+    "innovation_var_V2",
+    "nis",
+    "age_s",
+    "current_bias_A",
+    "r0_ohm",
+)
 
 
 def drive(steps: int, cells: int = 1, seed: int = 0, step_ns: int = SECOND) -> list[Sample]:
@@ -63,12 +73,8 @@ def test_a_sample_in_parts_of_one_time_gives_the_estimate_of_the_whole_if_the_cu
             between = parts.step(Sample(sample.t_ns, voltage_V=sample.voltage_V))
             assert values(between) == values(expected)
             got = parts.step(Sample(sample.t_ns, temperature_degC=sample.temperature_degC))
-        assert (got.soc, got.soc_sigma, got.status, got.faults) == (
-            expected.soc,
-            expected.soc_sigma,
-            expected.status,
-            expected.faults,
-        )
+        for name in ("soc", "soc_sigma", "current_bias_A", "r0_ohm", "status", "faults"):
+            assert getattr(got, name) == getattr(expected, name), name
 
 
 def test_a_sample_from_the_past_is_refused_whole():

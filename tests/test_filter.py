@@ -11,8 +11,8 @@ from drives import CELL, drive, variant
 from bms_ukf import ConfigError, Estimator, Fault, Filter, Sample, Tuning
 from bms_ukf.kernel import layout
 
-X = [0.8, 0.01, 0.005]
-SIGMA = [0.015, 0.005, 0.005]
+X = [0.8, 0.01, 0.005, 0.0]
+SIGMA = [0.015, 0.005, 0.005, 0.05]
 
 
 def belief(filter_: Filter) -> bytes:
@@ -22,7 +22,7 @@ def belief(filter_: Filter) -> bytes:
 @pytest.mark.parametrize("precision", ["f64", "f32"])
 def test_predict_innovate_update_are_what_the_estimator_does(precision):
     samples = list(drive(300, varying_dt=True, seed=3))
-    tuning = Tuning(initial_soc=0.9, initial_soc_sigma=0.01, gate_sigmas=1e6)
+    tuning = Tuning(initial_soc=0.9, initial_soc_sigma=0.01, gate_sigmas=1e6, adaptive=False)
     estimator = Estimator(CELL, tuning=tuning, precision=precision)
     t_ns, (_, current, voltage, temperature) = 0, samples[0]
     estimator.step(Sample(t_ns, current, voltage, temperature))
@@ -44,8 +44,9 @@ def test_predict_innovate_update_are_what_the_estimator_does(precision):
 
 
 def test_the_states_have_names():
-    assert Filter(CELL, X, SIGMA).states == ("soc", "v_rc1_V", "v_rc2_V")
-    cell, tuning = variant(3, hysteresis=True, core=True), Tuning(current_bias=True)
+    plain = Filter(CELL, X[:3], SIGMA[:3], Tuning(current_bias=False))
+    assert plain.states == ("soc", "v_rc1_V", "v_rc2_V")
+    cell, tuning = variant(3, hysteresis=True, core=True), Tuning()
     names = ("soc", "v_rc1_V", "v_rc2_V", "v_rc3_V", "v_hyst_V", "current_bias_A")
     assert Filter(cell, [0.5] + [0.0] * 5, [0.1] * 6, tuning).states == names
 
@@ -98,7 +99,7 @@ def test_time_that_does_not_pass_predicts_nothing(dt):
 
 
 @pytest.mark.parametrize(
-    ("x", "sigma"), [([0.5], [0.1]), (X, [0.1, 0.01]), ([0.5, math.nan, 0.0], SIGMA), (X, [0.1, 0.0, 0.1])]
+    ("x", "sigma"), [([0.5], [0.1]), (X, [0.1, 0.01]), ([0.5, math.nan, 0.0, 0.0], SIGMA), (X, [0.1, 0.0, 0.1, 0.1])]
 )
 def test_a_start_that_is_none_is_refused(x, sigma):
     with pytest.raises(ValueError, match="x"):
@@ -108,8 +109,8 @@ def test_a_start_that_is_none_is_refused(x, sigma):
 @pytest.mark.parametrize(
     ("precision", "weights", "says"),
     [
-        ("f64", {"kappa": -3.0}, ["kappa is -3.0", "above -3", "3 states"]),
-        ("f64", {"beta": -3.0}, ["beta is -3.0", "negative"]),
+        ("f64", {"kappa": -4.0}, ["kappa is -4.0", "above -4", "4 states"]),
+        ("f64", {"beta": -4.0}, ["beta is -4.0", "negative"]),
         ("f64", {"alpha": 1e-6}, ["alpha is 1e-06", "rounding"]),
         ("f32", {"alpha": 1e-3}, ["alpha is 0.001", "float32"]),
     ],

@@ -25,14 +25,15 @@ from bms_ukf.kernel.process import TINY_ROOT
 
 LINEAR = synthetic_cell.cell_of(synthetic_cell.linear())
 VARIANTS = {
-    "1 RC": (1, False, False),
-    "2 RC": (2, False, False),
-    "3 RC": (3, False, False),
-    "2 RC, hysteresis": (2, True, False),
-    "2 RC, bias": (2, False, True),
-    "3 RC, hysteresis, bias": (3, True, True),
+    "1 RC": (1, False, False, False),
+    "2 RC": (2, False, False, False),
+    "2 RC, uneven errors": (2, False, False, True),
+    "3 RC": (3, False, False, False),
+    "2 RC, hysteresis": (2, True, False, False),
+    "2 RC, bias": (2, False, True, False),
+    "3 RC, hysteresis, bias, uneven errors": (3, True, True, True),
 }
-variants = pytest.mark.parametrize(("n_rc", "hysteresis", "bias"), VARIANTS.values(), ids=list(VARIANTS))
+variants = pytest.mark.parametrize(("n_rc", "hysteresis", "bias", "uneven"), VARIANTS.values(), ids=list(VARIANTS))
 
 
 def predicted(w: np.ndarray, m: Form, lost: np.ndarray, g: np.ndarray, gain: np.ndarray, q: np.ndarray) -> None:
@@ -92,9 +93,9 @@ def test_every_step_of_a_drive_equals_the_textbook_filter(alpha, tolerance, vary
 
 
 @variants
-def test_every_variant_equals_the_textbook_filter(n_rc, hysteresis, bias):
-    cell = variant(n_rc, hysteresis)
-    tuning = Tuning(initial_soc=0.6, initial_soc_sigma=0.2, current_bias=bias, **PLAIN)
+def test_every_variant_equals_the_textbook_filter(n_rc, hysteresis, bias, uneven):
+    cell = variant(n_rc, hysteresis, uneven=uneven)
+    tuning = Tuning(initial_soc=0.6, initial_soc_sigma=0.2, **PLAIN | {"current_bias": bias})
     record = exact(cell, tuning)
     assert record.n == 1 + n_rc + hysteresis + bias
     assert worst_difference(record, Cell(cell, tuning, record.ocv, record.dynamics), 1500, True) < 1e-9
@@ -114,7 +115,7 @@ def test_on_a_linear_cell_it_is_a_kalman_filter(alpha):
         record.tick(dt, current, voltage, 25.0)
         if k == 0:
             x = np.array([0.6, r1 * current / 2, r2 * current / 2])
-            before = 1.0 + (current / 2) ** 2  # C/5 is 1 A
+            before = 0.25**2 + (current / 2) ** 2  # C/20 is 0.25 A
             P = np.diag([0.04, noise.v_rc1_sigma_V**2 + r1**2 * before, noise.v_rc2_sigma_V**2 + r2**2 * before])
         else:
             a1, a2 = math.exp(-dt / tau1), math.exp(-dt / tau2)
@@ -178,7 +179,7 @@ def test_the_time_update_is_the_cholesky_factor_of_the_sum(data, n_v, bias):
 @settings(deadline=None, max_examples=100)
 @given(lower(3), st.floats(0.5, 5.0), st.floats(-2, 2), st.floats(-2, 2), st.floats(1e-10, 1.0), st.floats(-1, 1))
 def test_a_measurement_never_raises_a_variance(L, g0, up, down, r, innovation):
-    record = Record(CELL)
+    record = Record(CELL, Tuning(**PLAIN))
     record.x, record.root = [0.5, 0.01, -0.01], L
     y = np.zeros(layout.VALUES)
     y[layout.Y_FUSE] = 1
@@ -246,6 +247,7 @@ def test_compiled_and_plain_python_runs_agree(tmp_path):
     rows[50:60, 2] = np.nan  # no voltage for a while
     rows[100:130, 1] = np.nan  # no current for longer than its timeout
     rows[200, 2] = 3.0  # an outlier for the gate
+    rows[300:380, 1] = 0.03  # a rest
     np.save(tmp_path / "in.npy", rows)
     (tmp_path / "cell.toml").write_text(synthetic_cell.as_toml(synthetic_cell.nonlinear()))
     results = []

@@ -16,16 +16,18 @@ from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
 LINEAR = synthetic_cell.cell_of(synthetic_cell.linear())
-ALWAYS = Tuning(wide_soc_sigma=1e-9, gate_sigmas=1e6)
-NEVER = Tuning(wide_soc_sigma=0.5, gate_sigmas=1e6)
+PLAIN = {"gate_sigmas": 1e6, "adaptive": False, "current_bias": False}
+ALWAYS = Tuning(wide_soc_sigma=1e-9, **PLAIN)
+NEVER = Tuning(wide_soc_sigma=0.5, **PLAIN)
 
 
 def believing(cell: CellParams, tuning: Tuning, x: np.ndarray, P: np.ndarray) -> Record:
-    """A running record at 25 degC and 1 A, with the belief set."""
+    """A running record at 25 degC and 1 A, with the belief set and no voltage fused into it yet."""
     record = Record(cell, tuning)
     record.tick(0.0, 1.0, 3.5, 25.0)
     record.x, record.root = x, np.linalg.cholesky(P)
     record["voltage_age"] = VOLTAGE_ERROR_S  # the next voltage is not crowded
+    record["fresh"] = 1.0
     return record
 
 

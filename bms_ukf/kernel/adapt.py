@@ -30,6 +30,7 @@ STEP_MAX_S = 10.0  # a longer silence counts as so much: one innovation says no 
 R0_SIGMA = 0.2  # of a cell that has aged, by nobody knows how much, as a share of the cell file's r0
 R0_TAU_S = 3600.0  # how long an r0 holds: SoC and temperature move on to where the tables err otherwise
 R0_STEP_S = 2.0  # voltages that lie further apart differ by polarisation
+R0_CURRENT_S = 0.1  # a voltage whose current is older than this was made by another current
 R0_ELSE = 0.3  # share of a change of the drop that fast polarisation may add to it or take from it
 R0_LEAST, R0_MOST = 0.5, 4.0
 
@@ -60,11 +61,14 @@ def learn(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         w[W * k.H_VOLTAGE_SCALE + c] = clamp(followed, one, real(p, SCALE_MAX)) if compared else scale
 
         error = y[W * (k.Y_DYN + k.D_ERROR) + c]
+        own = w[W * k.H_CURRENT_AGE + c] <= real(p, R0_CURRENT_S)
         ohmic = y[W * k.Y_OHMIC + c]
+        ohmic = ohmic if own else real(p, math.nan)
         moved = ohmic - w[W * k.H_OHMIC + c]
         change = innovation - w[W * k.H_RESIDUAL + c]
         r0, r0_var = w[W * k.H_R0_SCALE + c], w[W * k.H_R0_VAR + c]
         forgotten = since / real(p, R0_TAU_S)
+        forgotten = forgotten if heard else zero
         r0_var += (real(p, R0_SIGMA * R0_SIGMA) - r0_var) * forgotten
         white = real(p, 2) * scale * error * error * p[k.P_VAR_VOLTAGE]
         otherwise = real(p, R0_ELSE) * moved

@@ -76,19 +76,39 @@ def resistance(p: Any, y: Any, m: Any, c: int, j: int) -> Any:
 
 
 @inline
+def largest_sigma(p: Any, y: Any, m: Any, c: int, row: int) -> Any:
+    """Of a state, whatever happens: SoC, V or A."""
+    largest = p[k.P_SOC_SIGMA_MAX]
+    if k.V_RC1 <= row < k.V_RC1 + m.n_rc:
+        largest = resistance(p, y, m, c, row - k.V_RC1) * p[k.P_CURRENT_RANGE]
+    if m.hysteresis and row == k.V_RC1 + m.n_rc:
+        largest = y[m.lanes * (k.Y_DYN + k.D_RC1 + 2 * m.n_rc) + c]
+    if m.bias and row == m.n - 1:
+        largest = p[k.P_BIAS_SIGMA]
+    return largest
+
+
+@inline
 def doubt(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     """Where voltages have been refused for P_REJECT_S, this one too, the belief was too sure of itself: widen it.
 
-    SoC may be wrong, or the voltages that the current has left in the cell; which of them, nobody can tell. All sigmas
-    grow by the factor that makes this innovation one of one sigma, so the next voltage moves each as far as it is in
-    doubt.
+    SoC may be wrong, or the voltages that the current has left in the cell; which of them, nobody can tell. Sigmas grow
+    by the factor that makes this innovation one of one sigma, so the next voltage moves each as far as it is in doubt;
+    but none beyond what its state can be off by, or a cell that is empty would be one of a large drop. The next voltage
+    is the first of this belief.
     """
     W = m.lanes
     for c in range(lanes):
         if y[W * k.Y_FUSE + c] == real(w, k.DOUBT):
             factor = abs(y[W * k.Y_INNOVATION + c]) / math.sqrt(y[W * k.Y_VARIANCE + c])
-            for slot in range(m.root, m.carry):
-                w[W * slot + c] *= factor
-            sigma = w[W * m.root + c]
-            w[W * m.root + c] = p[k.P_SOC_SIGMA_MAX] if sigma > p[k.P_SOC_SIGMA_MAX] else sigma
+            for row in range(m.n):
+                variance = real(w, 0)
+                for column in range(row + 1):
+                    old = w[W * (m.root + tri(row, column)) + c]
+                    variance += old * old
+                most = largest_sigma(p, y, m, c, row) / math.sqrt(variance)
+                times = max(real(w, 1), min(factor, most))
+                for column in range(row + 1):
+                    w[W * (m.root + tri(row, column)) + c] *= times
+            w[W * k.H_FRESH + c] = real(w, 1)
             w[W * k.H_REJECTED_S + c] = real(w, math.nan)

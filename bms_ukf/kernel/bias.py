@@ -47,7 +47,7 @@ def fuse_rest(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, la
     told = 0
     for c in range(lanes):
         shown, reading, since = io[rows * k.IN_OFFSET + first + c], w[W * k.H_STILL_A + c], w[W * k.H_STILL_S + c]
-        known = is_number(shown)
+        known = (p[k.P_CURRENT_MIN] <= shown) & (shown <= p[k.P_CURRENT_MAX])
         rested = (since >= real(p, REST_S)) & (since - dt < real(p, REST_S))
         rested = rested & (abs(reading) <= real(p, PLAUSIBLE) * p[k.P_BIAS_SIGMA])
         shown = shown if known else reading

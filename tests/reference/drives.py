@@ -14,12 +14,12 @@ from bms_ukf import CellParams, Estimator, Tuning
 from bms_ukf.kernel import layout
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
-# Sigma points alone: neither the gate nor the quadrature for wide beliefs (`test_wide`) steps in.
-PLAIN = {"gate_sigmas": 1e6, "wide_soc_sigma": 0.5}
+# Sigma points alone: neither the gate nor the quadrature for wide beliefs (`test_wide`) steps in, nothing is adapted.
+PLAIN = {"gate_sigmas": 1e6, "wide_soc_sigma": 0.5, "adaptive": False, "current_bias": False}
 
 
-def variant(n_rc: int, hysteresis: bool, core: bool = False) -> CellParams:
-    """CELL with so many RC pairs, with or without hysteresis and a core of its own temperature."""
+def variant(n_rc: int, hysteresis: bool, core: bool = False, uneven: bool = False) -> CellParams:
+    """CELL with so many RC pairs, perhaps with hysteresis, a core of its own temperature, errors that are `uneven`."""
     data = synthetic_cell.nonlinear()
     dynamics, noise = data["dynamics"], data["noise"]
     if n_rc == 1:
@@ -38,6 +38,9 @@ def variant(n_rc: int, hysteresis: bool, core: bool = False) -> CellParams:
         noise["hysteresis_sigma_V"] = 0.003
     if core:
         data["thermal"] = {"core_K_per_W": 3.0, "core_tau_s": 90.0}
+    if uneven:
+        noise |= {"soc": [0.0, 0.5, 1.0], "temperature_degC": [5.0, 25.0]}
+        noise["error_scale"] = [[3.0, 0.8, 2.0], [1.5, 0.5, 1.2]]
     return synthetic_cell.cell_of(data)
 
 
@@ -75,6 +78,20 @@ def steady() -> CellParams:
     return synthetic_cell.cell_of(data)
 
 
+def terminal(
+    cell: CellParams, soc: float, current: np.ndarray, rate_hz: float = 1.0, r0: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """SoC and terminal voltage of a `steady` cell at 25 degC that was at rest at `soc`, with `r0` times its r0."""
+    moved = np.where(current < 0, cell.cell.coulombic_efficiency, 1.0) * current
+    soc_after = soc - np.cumsum(moved) / rate_hz / (3600 * cell.cell.capacity_Ah)
+    r = {key: float(value) for key, value in cell.dynamics_at(0.6, 25.0).items()}
+    voltage = cell.ocv_V(soc_after, 25.0) - r0 * r["r0_ohm"] * r["r0_knee_A"] * np.arcsinh(current / r["r0_knee_A"])
+    for j in range(1, cell.dynamics.n_rc + 1):
+        a = math.exp(-1 / rate_hz / r[f"tau{j}_s"])
+        voltage -= lfilter([1 - a], [1, -a], r[f"r{j}_ohm"] * current)
+    return soc_after, voltage
+
+
 def float32_against_float64(rate_hz: int, steps: int) -> tuple[float, float]:
     """Largest difference of SoC after the first tenth, over a cycling load, and how far SoC travelled."""
     cell = steady()
@@ -84,12 +101,7 @@ def float32_against_float64(rate_hz: int, steps: int) -> tuple[float, float]:
     for _ in range(5):  # charging loses a percent, so it takes more
         moved = np.where(current < 0, cell.cell.coulombic_efficiency, 1.0) * current
         current -= moved.mean()
-    soc = 0.75 - np.cumsum(moved) / rate_hz / (3600 * cell.cell.capacity_Ah)
-    r = {key: float(value) for key, value in cell.dynamics_at(0.6, 25.0).items()}
-    voltage = cell.ocv_V(soc, 25.0) - r["r0_ohm"] * r["r0_knee_A"] * np.arcsinh(current / r["r0_knee_A"])
-    for j in (1, 2):
-        a = math.exp(-1 / rate_hz / r[f"tau{j}_s"])
-        voltage -= lfilter([1 - a], [1, -a], r[f"r{j}_ohm"] * current)
+    soc, voltage = terminal(cell, 0.75, current, rate_hz)
     voltage += 0.003 * rng.standard_normal(steps)
     t_ns = np.round(t * 1e9).astype(np.int64)
     f64, f32 = (

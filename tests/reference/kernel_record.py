@@ -77,7 +77,7 @@ class Record:
 
     def dynamics(self, soc: float, temperature: float) -> dict[str, float]:
         """By the names of `CellParams.dynamics_at`."""
-        names = ["r0_ohm", "r0_charge_ohm", "r0_knee_A"]
+        names = ["r0_ohm", "r0_charge_ohm", "r0_knee_A", "error_scale"]
         names += [name for j in range(1, self.form.n_rc + 1) for name in (f"r{j}_ohm", f"tau{j}_s")]
         names += ["hysteresis_V"] * self.form.hysteresis
         at = entry.dynamics()

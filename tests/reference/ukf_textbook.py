@@ -1,7 +1,8 @@
 """An unscented Kalman filter as the textbook has it, over the same cell model: what the production filter must equal.
 
 Wan & van der Merwe, "The unscented Kalman filter" (in Haykin, Kalman Filtering and Neural Networks, 2001, ch. 7), with
-additive noise: 2n + 1 sigma points from a Cholesky factor of the full covariance, redrawn after the time update. It
+additive noise: 2n + 1 sigma points from a Cholesky factor of the full covariance, redrawn after the time update. The
+bias takes part of its gain only (Brink, "Partial-update Schmidt-Kalman filter", J. Guid. Control Dyn. 40(9), 2017). It
 knows nothing of the structure of the model and uses nothing of the production filter but the cell's tables.
 """
 
@@ -43,7 +44,8 @@ class Ukf:
         away = points - self.x
         self.P = (self._wc * away.T) @ away + Q
 
-    def update(self, h: Callable[[Array], float], z: float, R: float) -> None:
+    def update(self, h: Callable[[Array], float], z: float, R: float, trust: float = 1.0) -> None:
+        """`trust`: the share of its gain that the last state takes; what it does not learn stays in its variance."""
         points = self.sigma_points()
         seen = np.array([h(point) for point in points])
         expected = self._wm @ seen
@@ -52,8 +54,17 @@ class Ukf:
         cross = (self._wc * away) @ (points - self.x)
         gain = cross / self.S
         self.innovation = z - float(expected)
-        self.x = self.x + gain * self.innovation
-        self.P = self.P - np.outer(gain, gain) * self.S
+        refused = np.zeros_like(gain)
+        refused[-1] = (1 - trust) * gain[-1]
+        self.x = self.x + (gain - refused) * self.innovation
+        self.P = self.P - (np.outer(gain, gain) - np.outer(refused, refused)) * self.S
+
+    def explained(self, h: Callable[[float], float]) -> float:
+        """Variance of `h`, a function of the first state, as far as it goes with that state."""
+        points = self.sigma_points()[:, 0]
+        seen = np.array([h(point) for point in points])
+        cross = (self._wc * (seen - self._wm @ seen)) @ (points - self.x[0])
+        return float(cross**2 / self.P[0, 0])
 
 
 @dataclass
@@ -74,18 +85,19 @@ class Cell:
         self.offset = self.params.cell.capacity_Ah / 100
 
     def start(self, i: float, temperature: float) -> None:
-        """At `tuning.initial_soc`; current i, and C/5 more or less of it, may have flowed for long or not at all."""
+        """At `tuning.initial_soc`; current i, and C/20 more or less of it, may have flowed for long or not at all."""
         soc, tuning = self.tuning.initial_soc, self.tuning
-        at = self.dynamics(soc, temperature)
-        before = math.hypot(self.params.cell.capacity_Ah / 5, i / 2)
+        at, halfway = self.dynamics(soc, temperature), self.dynamics(0.5, temperature)
+        before = math.hypot(self.params.cell.capacity_Ah / 20, i / 2)
         x, variances = [soc], [tuning.initial_soc_sigma**2]
         for j, sigma in enumerate(self.sigmas, 1):
-            r = at[f"r{j}_ohm"]
+            r = halfway[f"r{j}_ohm"]
             x.append(r * i / 2)
-            variances.append(sigma**2 + (r * before) ** 2)
+            variances.append((at["error_scale"] * sigma) ** 2 + (r * before) ** 2)
         if self.params.hysteresis:
             x.append(0.0)
-            variances.append(self.params.noise.hysteresis_sigma_V**2 + at["hysteresis_V"] ** 2 / 3)
+            own = at["error_scale"] * self.params.noise.hysteresis_sigma_V
+            variances.append(own**2 + at["hysteresis_V"] ** 2 / 3)
         if tuning.current_bias:
             x.append(0.0)
             variances.append(self.offset**2)
@@ -118,10 +130,11 @@ class Cell:
         q = [(offset**2 + (tuning.current_gain_sigma * i) ** 2) * horizon / charge**2 * dt]
         for j, (a, r, sigma) in enumerate(zip(decays, resistances, self.sigmas, strict=True), 1):
             shifted = r + at["r0_ohm"] if j == n_rc else r
-            variance = sigma**2 + (noise.rc_rel_sigma * r * i) ** 2 + (offset * shifted) ** 2
-            q.append((1 - a**2) * variance)
+            own = at["error_scale"] * math.hypot(sigma, noise.rc_rel_sigma * r * i)
+            q.append((1 - a**2) * (own**2 + (offset * shifted) ** 2))
         if hysteresis:
-            q.append(-math.expm1(-2 * hysteresis.rate * abs(i) * dt / charge) * noise.hysteresis_sigma_V**2)
+            own = at["error_scale"] * noise.hysteresis_sigma_V
+            q.append(-math.expm1(-2 * hysteresis.rate * abs(i) * dt / charge) * own**2)
         if tuning.current_bias:
             q.append(-math.expm1(-2 * dt / horizon) * self.offset**2)
         self.ukf.predict(f, np.diag(q))
@@ -135,6 +148,7 @@ class Cell:
         drop, slope = r0 * knee * math.asinh(i / knee), r0 / math.hypot(1, i / knee)
         variance = noise.voltage_sigma_V**2 + self.tuning.voltage_sensor_sigma_V**2
         variance += (noise.r0_rel_sigma * drop) ** 2
+        variance *= at["error_scale"] ** 2
         variance /= min(self.age, 1.0)  # voltages that come faster than one a second count for less
         self.age = 0.0
         bias = self.tuning.current_bias
@@ -143,4 +157,10 @@ class Cell:
             voltages, seen = (x[1:-1], drop - slope * x[-1]) if bias else (x[1:], drop)
             return self.ocv(x[0], temperature) - float(voltages.sum()) - seen
 
-        self.ukf.update(h, voltage, variance)
+        if not bias:
+            self.ukf.update(h, voltage, variance)
+            return
+        slow = sum(sigma**2 for sigma in self.sigmas)
+        slow += noise.hysteresis_sigma_V**2 if self.params.hysteresis and noise.hysteresis_sigma_V else 0.0
+        by_soc = self.ukf.explained(lambda soc: self.ocv(soc, temperature))
+        self.ukf.update(h, voltage, variance, by_soc / (by_soc + variance + at["error_scale"] ** 2 * slow))

@@ -1,0 +1,137 @@
+"""What the innovations tell of the model: how large r0 is, how large the voltage error; and what must not tell it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drives import steady, terminal
+
+from bms_ukf import Estimator, Sample, Tuning
+from bms_ukf.kernel import layout
+
+CELL = steady()
+R0 = float(CELL.dynamics_at(0.6, 25.0)["r0_ohm"])
+NAN = math.nan
+
+
+def load(steps: int, seed: int = 4) -> np.ndarray:
+    """A current that changes every few seconds, by a normal of 2 A, and draws 0.4 A in the mean."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.normal(0.4, 2.0, steps // 4 + 1), 4)[:steps]
+
+
+def driven(
+    steps: int, r0: float = 1.0, offset_A: float = 0.0, noise_V: float = 0.002, rate_hz: float = 1.0, seed: int = 4
+) -> tuple[np.ndarray, ...]:
+    """t_ns, current shown, voltage and temperature; and the true SoC. The resting cell was at 80 %."""
+    current = load(steps, seed)
+    soc, voltage = terminal(CELL, 0.8, current, rate_hz, r0)
+    voltage = voltage + noise_V * np.random.default_rng(seed + 1).standard_normal(steps)
+    t_ns = np.round(np.arange(steps) * 1e9 / rate_hz).astype(np.int64)
+    return t_ns, current + offset_A, voltage, np.full(steps, 25.0), soc
+
+
+def held(estimator: Estimator, slot: int) -> float:
+    return float(estimator._state[0, slot, 0])
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+@pytest.mark.parametrize("r0", [0.7, 1.3])
+def test_an_r0_that_is_wrong_by_a_third_is_found_within_minutes_of_a_drive(r0, rate_hz):
+    *sample, _ = driven(round(600 * rate_hz), r0, rate_hz=rate_hz)
+    shown = Estimator(CELL).replay(*sample)["r0_ohm"]
+    assert abs(shown[1] / R0 - 1) < 0.1  # it did start from the file's
+    assert shown[-100:] / R0 == pytest.approx(r0, abs=0.05)
+
+
+@pytest.mark.parametrize("offset_A", [-0.1, 0.1])
+def test_an_offset_of_the_current_does_not_move_r0(offset_A):
+    shown = [Estimator(CELL).replay(*driven(1800, 1.3, offset)[:4])["r0_ohm"] for offset in (0.0, offset_A)]
+    assert np.abs(shown[1] - shown[0])[300:].max() < 0.01 * R0
+
+
+@pytest.mark.parametrize("offset_A", [-0.1, 0.1])
+@pytest.mark.parametrize("r0", [0.7, 1.3])
+def test_an_r0_and_an_offset_wrong_at_once_are_told_apart_and_stay_so(r0, offset_A):
+    """Together they are bilinear: both change the level of the voltage. Six hours, most of a charge and back.
+
+    Of an offset, the voltage tells what shows beside the errors that the model may have: a part.
+    """
+    steps = 6 * 3600
+    current = load(steps) - 0.4 + 1.2 * np.sin(2 * np.pi * np.arange(steps) / 7200)
+    soc, voltage = terminal(CELL, 0.6, current, r0=r0)
+    voltage = voltage + 0.002 * np.random.default_rng(1).standard_normal(steps)
+    t_ns = np.arange(steps) * 10**9
+    got = Estimator(CELL).replay(t_ns, current + offset_A, voltage, np.full(steps, 25.0))
+    blind = Estimator(CELL, tuning=Tuning(current_bias=False, adaptive=False))
+    blind_soc = blind.replay(t_ns, current + offset_A, voltage, np.full(steps, 25.0))["soc"]
+    last = slice(-7200, None)
+    assert got["r0_ohm"][last] / R0 == pytest.approx(r0, abs=0.06)
+    found = got["current_bias_A"][last] / offset_A
+    assert 0.15 < found.min()
+    assert found.max() < 1.0
+    assert np.ptp(found) < 0.05  # at rest, too
+    error = np.abs(got["soc"] - soc)[last]
+    assert error.max() < 0.03
+    assert error.mean() < np.abs(blind_soc - soc)[last].mean()
+
+
+def test_a_lost_frame_of_the_current_does_not_move_r0():
+    """The voltage after it was made by another current than the one held."""
+    t_ns, current, voltage, temperature, _ = driven(1200)
+    current = current.copy()
+    current[600::4] = NAN  # the first second of every new current
+    got = Estimator(CELL).replay(t_ns, current, voltage, temperature)["r0_ohm"]
+    assert np.abs(got[600:] / R0 - 1).max() < 0.05
+
+
+def test_voltages_that_come_between_two_currents_do_not_move_r0():
+    t_ns, current, voltage, temperature, _ = driven(1200)
+    estimator = Estimator(CELL)
+    for k, at in enumerate(t_ns.tolist()):
+        estimator.step(Sample(at, float(current[k])))
+        if k > 0:  # half a second late, when the cell is under the next one
+            estimator.step(Sample(at + 500_000_000, NAN, float(voltage[min(k + 1, 1199)]), 25.0))
+    assert held(estimator, layout.H_R0_SCALE) == 1.0
+
+
+def scales(estimator: Estimator, steps: int, noise_V: float, start: int) -> list[float]:
+    found = []
+    rng = np.random.default_rng(start)
+    for k in range(start, start + steps):
+        voltage = float(CELL.ocv_V(0.6, 25.0)) + noise_V * rng.standard_normal()
+        estimator.step(Sample(k * 10**9, 0.0, voltage, 25.0))
+        found.append(held(estimator, layout.H_VOLTAGE_SCALE))
+    return found
+
+
+def test_the_voltage_error_grows_while_the_model_errs_more_and_comes_back():
+    estimator = Estimator(CELL, tuning=Tuning(current_bias=False))
+    own = math.hypot(CELL.noise.voltage_sigma_V, Tuning().voltage_sensor_sigma_V)
+    as_told, worse, after = scales(estimator, 1800, own, 0), scales(estimator, 1800, 4 * own, 1800), None
+    after = scales(estimator, 1800, own, 3600)
+    assert max(as_told) < 2
+    assert 10 < np.mean(worse[900:]) < 25  # 16
+    assert np.mean(after[900:]) < 2
+    assert min(as_told + worse + after) == 1.0
+
+
+def test_a_quiet_voltage_never_makes_the_error_smaller_than_the_cell_file_says():
+    estimator = Estimator(CELL)
+    assert set(scales(estimator, 600, 0.0, 0)) == {1.0}
+
+
+def test_nothing_is_adapted_if_that_is_not_wanted():
+    t_ns, current, voltage, temperature, _ = driven(600, r0=1.5, noise_V=0.05)
+    estimator = Estimator(CELL, tuning=Tuning(adaptive=False))
+    got = estimator.replay(t_ns, current, voltage, temperature)
+    assert got["r0_ohm"] == pytest.approx(R0, rel=0.01)
+    assert held(estimator, layout.H_VOLTAGE_SCALE) == held(estimator, layout.H_R0_SCALE) == 1.0
+
+
+def test_float32_finds_the_same_r0_and_offset():
+    f64, f32 = (Estimator(CELL, precision=bits).replay(*driven(3600, 1.3, 0.1)[:4]) for bits in ("f64", "f32"))
+    assert np.abs(f64["r0_ohm"] - f32["r0_ohm"]).max() < 1e-3 * R0
+    assert np.abs(f64["current_bias_A"] - f32["current_bias_A"]).max() < 1e-4
