@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
 
 from bms_ukf.identify import effective, ocv
 from bms_ukf.identify.ocv_rows import OcvRows
@@ -192,9 +193,10 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, 
 
     lower, upper = bounds(model)
     start = np.clip(model.x, lower + 1e-6, upper - 1e-6)
-    found = least_squares(
-        residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
-    )
+    with threadpool_limits(1, user_api="blas"):
+        found = least_squares(
+            residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
+        )
     edges = np.cumsum([weight.size for weight in weights])
     rows = [np.flatnonzero(weight) + edge - weight.size for weight, edge in zip(weights, edges, strict=True)]
     sigma = effective.standard_errors([found.jac[k] for k in rows], [found.fun[k] for k in rows], prior)
