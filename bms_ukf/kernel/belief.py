@@ -35,6 +35,8 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
             w[W * k.H_GAP_S + c] = real(w, 0)
             w[W * k.H_CORE_RISE + c] = w[W * k.H_SOC_WALK + c] = real(w, 0)
             adapt.start(w, m, c)
+            w[W * k.H_REST_A + c] = real(w, math.nan)
+            w[W * k.H_LOADED + c] = real(w, 0)
             w[W * k.H_VOLTAGE_AGE + c] = real(w, VOLTAGE_ERROR_S)  # no voltage was fused lately
             y[W * k.Y_ALIVE + c] = real(w, 1)
 

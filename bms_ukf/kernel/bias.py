@@ -1,8 +1,10 @@
 """What tells of the current sensor's offset, and how much of it is believed.
 
 Rest tells it outright: what a sensor shows while no current flows is its offset. That no current flows is known where
-the contactor is open. Where a small reading merely stands still, something may yet draw a little: believed once a rest,
-with the sigma of such a load, and not at all if it is more than an offset could be.
+the contactor is open. Elsewhere a small reading that stands still may be a small load: of a slow discharge, there is
+nothing to tell it from an offset. So only a reading that comes back is believed, at one rest as at the rest before, with
+a load between them; once a rest, with the sigma of what may draw a little all the time, and not at all if it is more
+than an offset could be.
 
 A voltage tells it by way of SoC: as far as SoC shows in the voltage against what the model itself may be wrong by.
 Slow errors of the model look like an offset to a filter that takes every second's voltage for news. So of its Kalman
@@ -22,21 +24,34 @@ from bms_ukf.kernel.layout import tri
 from bms_ukf.kernel.memory import real
 from bms_ukf.kernel.srukf import update
 
-REST_S = 60.0  # a reading that has not moved for so long is one of rest
-PLAUSIBLE = 3.0  # sigmas of the offset: a larger reading is a load
+REST_S = 120.0  # a reading that has not moved for so long is one of rest
+PLAUSIBLE = 2.5  # sigmas of the offset: a larger reading is a load
 KNOWN = 0.1  # of the offset's sigma: error of a reading while no current can flow
 
 
 @inline
 def stand_still(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
-    """Keep the account of how long the current has not moved."""
+    """Keep the account of how long the current has not moved, and of loads between rests.
+
+    Leaves in Y_RESTED whether this is the moment at which a rest shows what the one before it showed.
+    """
     W = m.lanes
-    zero = real(p, 0)
+    zero, one = real(p, 0), real(p, 1)
     for c in range(lanes):
         i, anchor, since = w[W * k.H_CURRENT + c], w[W * k.H_STILL_A + c], w[W * k.H_STILL_S + c]
         still = (abs(i - anchor) <= p[k.P_STILL]) & (w[W * k.H_CURRENT_AGE + c] <= p[k.P_CURRENT_TIMEOUT])
-        w[W * k.H_STILL_A + c] = anchor if still else i
-        w[W * k.H_STILL_S + c] = since + dt if still else zero
+        anchor = anchor if still else i
+        after = since + dt if still else zero
+        w[W * k.H_STILL_A + c] = anchor
+        w[W * k.H_STILL_S + c] = after
+        earlier, loaded = w[W * k.H_REST_A + c], w[W * k.H_LOADED + c]
+        loaded = one if abs(i - earlier) > p[k.P_EXCITED] else loaded
+        rests = (after >= real(p, REST_S)) & (after - dt < real(p, REST_S)) & still
+        rests = rests & (abs(anchor) <= real(p, PLAUSIBLE) * p[k.P_BIAS_SIGMA])
+        again = rests & (loaded > zero) & (abs(anchor - earlier) <= real(p, 2) * p[k.P_STILL])
+        y[W * k.Y_RESTED + c] = one if again else zero
+        w[W * k.H_REST_A + c] = anchor if rests else earlier
+        w[W * k.H_LOADED + c] = zero if rests else loaded
 
 
 @inline
@@ -46,10 +61,9 @@ def fuse_rest(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, la
     last = m.n - 1
     told = 0
     for c in range(lanes):
-        shown, reading, since = io[rows * k.IN_OFFSET + first + c], w[W * k.H_STILL_A + c], w[W * k.H_STILL_S + c]
+        shown, reading = io[rows * k.IN_OFFSET + first + c], w[W * k.H_STILL_A + c]
         known = (p[k.P_CURRENT_MIN] <= shown) & (shown <= p[k.P_CURRENT_MAX])
-        rested = (since >= real(p, REST_S)) & (since - dt < real(p, REST_S))
-        rested = rested & (abs(reading) <= real(p, PLAUSIBLE) * p[k.P_BIAS_SIGMA])
+        rested = y[W * k.Y_RESTED + c] > real(p, 0)
         shown = shown if known else reading
         sigma = real(p, KNOWN) * p[k.P_BIAS_SIGMA] if known else p[k.P_PARASITIC]
         alpha = sigma * sigma

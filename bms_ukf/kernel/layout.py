@@ -157,7 +157,9 @@ H_RESIDUAL = 14  # of the last voltage, after it was fused, V; NaN: it was not
 H_OHMIC = 15  # the ohmic drop then, by the cell file's r0, V
 H_STILL_A = 16  # the current that has not moved since
 H_STILL_S = 17  # so many s
-HELD = 18
+H_REST_A = 18  # what the current sensor showed at the last rest, A; NaN: there was none
+H_LOADED = 19  # 1: a load was seen since
+HELD = 20
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached
@@ -191,7 +193,8 @@ Y_R0 = 26  # as tracked, ohm
 Y_OHMIC = 27  # ohmic drop by the cell file's r0, V; NaN: at an unknown current
 Y_SINCE_HEARD = 28  # s since the voltage before this one
 Y_TRUST = 29  # share of its Kalman gain that the bias takes from this measurement, 0..1
-Y_B = 30  # N_MAX slots: sqrt_P^-1 Pxz, V
+Y_RESTED = 30  # 1: a rest shows what the one before it showed
+Y_B = 31  # N_MAX slots: sqrt_P^-1 Pxz, V
 Y_DYN = Y_B + N_MAX  # CHANNELS_MAX slots
 Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, then of the core: 1 - exp(-time / tau)
 Y_FADE = Y_FALL + N_RC_MAX + 2  # the same over the gap

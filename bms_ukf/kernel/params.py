@@ -79,13 +79,13 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
 def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None:
     capacity_Ah = cell.cell.capacity_Ah
     charge = p[k.P_CHARGE_COULOMB]
-    offset_A = capacity_Ah / 100 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
+    offset_A = capacity_Ah / 50 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
     # An error that stays the same over the horizon H and is then redrawn: SoC walks with variance sigma^2 H per second.
     # With a state of its own the offset is no noise.
     unseen_A = 0.0 if tuning.current_bias else offset_A
     p[k.P_BIAS_SIGMA], p[k.P_BIAS_TAU] = offset_A, tuning.current_error_horizon_s
     p[k.P_CURRENT_OFFSET] = unseen_A
-    p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 1000, capacity_Ah / 300
+    p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 400, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
     p[k.P_SOC_WALK_GAIN] = (tuning.current_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
     _write_weights(p, form_of(cell, tuning).n, tuning, cell.cell.voltage_limits_V[1], bits)
