@@ -542,11 +542,11 @@ struct work {
     real dt, current, current_age, gap, known, moved;
     bool fresh;
     whole fault;
-    _Alignas(64) whole alive[LANES], code[LANES];
+    _Alignas(64) whole alive[LANES], code[LANES], fused[LANES];
     real voltage[LANES], T[LANES], soc[LANES];
     real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
     real r0[LANES], ohmic[LANES], drop[LANES], drop_sigma[LANES], since_heard[LANES], g[3][LANES];
-    real predicted[LANES], innovation[LANES], variance[LANES];
+    real predicted[LANES], innovation[LANES], variance[LANES], r[LANES];
 };
 
 static void take_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y,
@@ -703,10 +703,8 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
     EACH_LANE {
         const struct belief before = load(w, c);
         struct belief b = load(w, c);
-        struct adapted a = load_adapted(w, c);
         struct innovation n;
-        const real error = y->dyn[D_ERROR][c];
-        const real r = noise_of(p, w->voltage_age[c], error, a.voltage_scale, y->drop_sigma[c]);
+        const real r = noise_of(p, w->voltage_age[c], y->dyn[D_ERROR][c], w->voltage_scale[c], y->drop_sigma[c]);
         const real g[3] = {y->g[0][c], y->g[1][c], y->g[2][c]}, rejected_s = w->rejected_s[c];
         innovate(p, &b, g, y->drop[c], r, &n);
         const real innovation = y->voltage[c] - n.predicted;
@@ -715,8 +713,6 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         const bool compared = heard & (total - total == 0);
         const bool accepted = innovation * innovation <= p[P_GATE2] * n.variance;
         const bool fused = compared & accepted, refused = compared & !accepted;
-        learn(p, &a, innovation, n.variance, r, fused, y->since_heard[c], error, y->ohmic[c], y->r0[c]);
-        store_adapted(w, c, &a);
         update(&b, &n, innovation);
         UNROLL for (int j = 0; j < N; j++) {
             b.x[j] = fused ? b.x[j] : before.x[j];
@@ -731,6 +727,18 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         y->predicted[c] = compared ? n.predicted : R(NAN);
         y->innovation[c] = compared ? innovation : R(NAN);
         y->variance[c] = compared ? n.variance : R(NAN);
+        y->r[c] = r;
+        y->fused[c] = fused ? 1 : 0;
+    }
+}
+
+static void learn_lanes(const real *restrict p, struct lanes *restrict w, const struct work *restrict y)
+{
+    EACH_LANE {
+        struct adapted a = load_adapted(w, c);
+        learn(p, &a, y->innovation[c], y->variance[c], y->r[c], y->fused[c] != 0, y->since_heard[c],
+              y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
+        store_adapted(w, c, &a);
     }
 }
 
@@ -802,6 +810,7 @@ static int tick_block(const real *p, struct block *s, struct work *y, real *io, 
         start_lanes(p, &w, y, count);
     look_up(p, &w, y);
     fuse_lanes(p, &w, y);
+    learn_lanes(p, &w, y);
     judge_lanes(p, &w, &s->lanes, y);
     publish(&s->lanes, y, io, cells, count);
     int faults = 0, seen = 0;
