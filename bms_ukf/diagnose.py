@@ -1,7 +1,8 @@
 """Is an unscented Kalman filter worth it for this cell, at this uncertainty? The numbers that tell.
 
 The belief is Gaussian in SoC; beyond 0..1 the OCV goes on with its edge slope, as in the filter. The cell is at rest:
-a current moves the mean of the voltage, but neither the bias nor the spread, as only the OCV is non-linear in SoC.
+a current moves the mean of the voltage, but neither the bias nor the spread, as only the OCV is non-linear in SoC. The
+filter is the one without a state for the current sensor's offset, which a voltage at rest hardly shows.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
     cell, soc, soc_sigma, temperature_degC   what was asked
     voltage_error_mV     one sigma of a voltage at rest: the sensor's error and the white and RC errors of [noise]
     bias                 for a small, medium and large sigma (a third, once and twice `sigma`): `soc_sigma`; `outside`,
-                         the share of the belief beyond 0..1; `update`, how the estimator meets such a belief; and
+                         the share of the belief beyond 0..1; `update`, how such a belief meets its first voltage; and
                          `true`, `tangent_line`, `ukf`: `mean_V`, `bias_mV` (mean minus true mean) and `std_mV` of the
                          terminal voltage before the error of its measurement
     sigma_points         `alpha`, `beta`, `kappa` of the default tuning; per point its states, `soc`, `v_rc1_V`..,

@@ -59,7 +59,7 @@ def _bias(found: dict[str, Any]) -> Group:
     if outside > MAX_OUTSIDE:
         notes.append("Outside 0..1 the curve goes on with its edge slope, as no cell does.")
     if any(row["update"] == "quadrature" for row in found["bias"]):
-        notes.append("Wide beliefs are updated by quadrature over SoC, not by sigma points.")
+        notes.append("A wide belief meets its first voltage by quadrature over SoC, not by sigma points.")
     return Group(table, *(Text(note, style="dim") for note in notes))
 
 

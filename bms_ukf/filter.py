@@ -1,6 +1,7 @@
 """The filter alone, in three steps, for whoever has a gate, timeouts and a clock of their own.
 
-`Estimator` is what most want: it holds what is missing, refuses what is implausible, starts itself and starts again.
+`Estimator` is what most want: it holds what is missing, refuses what is implausible, starts itself and starts again,
+tracks r0 and the voltage error, and learns the sensor's offset at rest. Here all of that is left to the caller.
 """
 
 from __future__ import annotations

@@ -9,8 +9,9 @@ the innovations are small whatever SoC is: so it only ever grows from there, and
 r0 is told from changes. From one voltage to the next the innovation moves by what the ohmic drop moved, times what r0
 is off; the slow errors of OCV, SoC and polarisation stay as they were, and so does an offset of the current sensor,
 which cancels in a difference. Only a step of the current tells: where it stands still, a difference is the sensor's
-noise, by which the prediction moves and the cell does not, and r0 would be told to be nothing. An r0 and an offset
-that were both told from the level of the voltage could not be told apart.
+noise, by which the prediction moves and the cell does not, and r0 would be told to be nothing. And only a voltage whose
+current was measured with it. An r0 and an offset that were both told from the level of the voltage could not be told
+apart (DERIVATION.md).
 """
 
 from __future__ import annotations

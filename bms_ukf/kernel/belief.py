@@ -1,4 +1,4 @@
-"""Beliefs that do not come from a filter step: the first one, and the one after voltages that were refused in vain."""
+"""Beliefs that do not come from a filter step: the first one, and the one after voltages refused in an unbroken row."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 This is policy, and it is in the kernel so that the daemon, a replay, a microcontroller and an FMU share it bit for bit.
 Every phase is a loop over the lanes that writes only to the working copy `w`: so the loops become vector instructions,
-and nothing is half done when a result turns out not to be finite. What happens rarely (a first voltage, a wide belief,
-a belief to be doubted) has loops of its own, with branches.
+and nothing is half done when a result turns out not to be finite. What happens rarely (a first voltage, a belief to
+be doubted) has loops of its own, with branches.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The measurement update for a belief so wide that the OCV curve is not nearly straight across it.
+"""The first measurement update of a belief so wide that the OCV curve is not nearly straight across it.
 
 Sigma points describe a curve by three values. Over +-35 % SoC (a start that is told 20 % sigma) that is not enough: the
 update would land beside the truth and be sure of it. Given SoC, though, everything else is linear and Gaussian, so the

@@ -8,7 +8,8 @@ import synthetic_cell
 from bms_ukf import CellParams, Tuning
 
 STEPS = 2000
-TUNING = Tuning(initial_soc=0.8, initial_soc_sigma=0.01)  # never so wide as to need the quadrature, which C has not
+# C has no bias state, and no quadrature: the start is never so wide as to need it.
+TUNING = Tuning(initial_soc=0.8, initial_soc_sigma=0.01, current_bias=False)
 
 
 def cell_of(hysteresis: bool) -> CellParams:
@@ -34,7 +35,7 @@ class Drive:
         temperature = 25 + np.repeat(random.integers(-10, 10, STEPS // 50) / 2, 50)
         soc = np.clip(0.8 - np.cumsum(self.current) / (3600 * cell.cell.capacity_Ah), 0, 1)
         ocv = [float(cell.ocv_V(*at)) for at in zip(soc, temperature, strict=True)]
-        rest = np.array(ocv) - 0.03 * self.current
+        rest = np.array(ocv) - 0.06 * self.current  # r0 is more than the cell file's
         self.voltage = rest[:, None] + random.normal(0, 0.003, (STEPS, cells))
         self.temperature = np.repeat(temperature[:, None], cells, axis=1)
         if faults:

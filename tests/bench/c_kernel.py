@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf import CellParams, Fault, Status, Tuning
-from bms_ukf.kernel import belief, ecm, inputs, layout, process
+from bms_ukf.kernel import adapt, belief, ecm, inputs, layout, process
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.params import aligned, params
 
@@ -34,7 +34,9 @@ def layout_header() -> str:
         (ecm, ("ASINH_SCALE", "ASINH_HALVINGS")),
         (belief, ("VOLTAGE_ERROR_S",)),
         (inputs, ("UNKNOWN_TEMPERATURE",)),
-        (process, ("TINY_ROOT",)),
+        (process, ("TINY_ROOT", "R0_SHAPE")),
+        (adapt, ("SCALE_S", "SCALE_MAX", "STEP_MAX_S", "R0_SIGMA", "R0_TAU_S", "R0_STEP_S", "R0_CURRENT_S")),
+        (adapt, ("R0_ELSE", "R0_LEAST", "R0_MOST")),
         (policy, ("STATUS_SHIFT", "SOC_SLACK", "SOC_BEYOND")),
     ):
         constants |= {name: getattr(module, name) for name in names}

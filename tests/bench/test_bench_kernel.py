@@ -52,6 +52,7 @@ def replays(hysteresis: bool, bits: int) -> list[float]:
     results = np.empty((len(samples), 3), c.dtype)
     io = np.empty((len(samples), layout.IO_ROWS), c.dtype)
     io[:, layout.IN_VOLTAGE], io[:, layout.IN_TEMPERATURE] = samples[:, 2], samples[:, 3]
+    io[:, layout.IN_OFFSET] = np.nan
     dt, current = (np.ascontiguousarray(samples[:, column]) for column in (0, 1))
     run, (params, state, *_) = entry.replay(estimator._form, bits), estimator._addresses
 

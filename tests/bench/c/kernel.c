@@ -115,12 +115,13 @@ INLINE void move(const real *p, const real dyn[CHANNELS], real i, real moved, re
     m->lost[0] = 0;
     m->gain[0] = -moved;
     m->q[0] = sqrt(variance) + R(TINY_ROOT);
+    const real times = dyn[D_ERROR] * dyn[D_ERROR];
     UNROLL for (int j = 0; j < N_RC; j++) {
         const real r = dyn[D_RC1 + 2 * j], both = fall[j] * fade[j], lost = fall[j] + fade[j] - both;
         const real error = p[P_RC_REL] * r * i;
         const real shift = p[P_CURRENT_OFFSET] * (j == N_RC - 1 ? r + dyn[D_R0] : r);
         const real unknown = r * range;
-        const real stationary = p[P_VAR_V + j] + error * error + shift * shift + unknown * unknown;
+        const real stationary = times * (p[P_VAR_V + j] + error * error) + shift * shift + unknown * unknown;
         m->lost[1 + j] = lost;
         m->gain[1 + j] = r * i * (fall[j] - held * both);
         m->q[1 + j] = sqrt(lost * (2 - lost) * stationary) + R(TINY_ROOT);
@@ -131,7 +132,7 @@ INLINE void move(const real *p, const real dyn[CHANNELS], real i, real moved, re
         const real anywhere = gap > 0 ? largest * largest / 3 : 0; /* between the branches */
         m->lost[N - 1] = lost;
         m->gain[N - 1] = (fall[N_V - 1] - held * both) * (i < 0 ? -largest : largest);
-        m->q[N - 1] = sqrt(lost * (2 - lost) * (p[P_VAR_V + N_RC] + anywhere)) + R(TINY_ROOT);
+        m->q[N - 1] = sqrt(lost * (2 - lost) * (times * p[P_VAR_V + N_RC] + anywhere)) + R(TINY_ROOT);
     }
 }
 
@@ -185,11 +186,48 @@ INLINE void innovate(const real *p, const struct belief *b, const real g[3], rea
     }
 }
 
-/* Variance of a reading, after `age` s. */
-INLINE real noise_of(const real *p, real age, real drop_sigma)
+/* Variance of a reading, after `age` s; `error`: how much more the model errs here, `scale`: and of late. */
+INLINE real noise_of(const real *p, real age, real error, real scale, real drop_sigma)
 {
     const real since = clamp(age, R(TINY_ROOT), R(VOLTAGE_ERROR_S));
-    return R(VOLTAGE_ERROR_S) / since * (p[P_VAR_VOLTAGE] + drop_sigma * drop_sigma);
+    return R(VOLTAGE_ERROR_S) / since * scale * (error * error * p[P_VAR_VOLTAGE] + drop_sigma * drop_sigma);
+}
+
+/* -- adaptation --------------------------------------------------------------------------------------------------- */
+
+/* What a tracked r0 has beyond the shape of the circuit. */
+INLINE real beyond_shape(real scale)
+{
+    return scale - clamp(scale - 1, -R(R0_SHAPE), R(R0_SHAPE));
+}
+
+/* From an innovation that has not moved the belief yet; `r`: the noise in its variance, `ohmic`: the drop by the cell
+ * file's r0, NaN if the current is not of its moment, `r0`: as tracked. */
+INLINE void learn(const real *p, struct adapted *a, real innovation, real variance, real r, bool fused,
+                  real since_heard, real error, real ohmic, real r0)
+{
+    const real since = clamp(since_heard == since_heard ? since_heard : 0, 0, R(STEP_MAX_S));
+    const real nis = innovation * innovation / variance, scale = a->voltage_scale;
+    const bool heard = nis - nis == 0, compared = heard & (a->fresh == 0) & (p[P_ADAPT] > 0);
+    const real followed = scale + scale * (clamp(nis, 0, p[P_GATE2]) - 1) * since / R(SCALE_S);
+    const real moved = ohmic - a->ohmic, change = innovation - a->residual, tracked = a->r0_scale;
+    const real forgotten = heard ? since / R(R0_TAU_S) : 0, sigma = R(R0_SIGMA);
+    const real var = a->r0_var + (sigma * sigma - a->r0_var) * forgotten;
+    const real white = 2 * scale * error * error * p[P_VAR_VOLTAGE], otherwise = R(R0_ELSE) * moved;
+    const real gain = var * moved / (var * moved * moved + white + otherwise * otherwise), step = gain * change;
+    const bool told = compared & fused & (fabs(moved) > r0 * p[P_EXCITED]) & (since <= R(R0_STEP_S)) & (step - step == 0);
+    const real left = fused ? innovation * r / variance : R(NAN);
+    a->voltage_scale = compared ? clamp(followed, 1, R(SCALE_MAX)) : scale;
+    a->r0_var = told ? var - gain * moved * var : var;
+    a->r0_scale = told ? clamp(tracked - step, R(R0_LEAST), R(R0_MOST)) : tracked;
+    a->residual = heard ? left : a->residual;
+    a->ohmic = heard ? ohmic : a->ohmic;
+    a->fresh = fused ? 0 : a->fresh;
+}
+
+static void start_adapted(struct adapted *a)
+{
+    *a = (struct adapted){1, 1, R(R0_SIGMA) * R(R0_SIGMA), R(NAN), R(NAN), 1};
 }
 
 /* Carlson's update, from the last column to the first. */
@@ -246,25 +284,28 @@ INLINE whole missing(const real *p, real current_age, real gap, real voltage_age
 }
 
 /* The first belief: the load may have begun just now or long ago. */
-static void start(const real *p, struct belief *b, const real dyn[CHANNELS], real i)
+static void start(const real *p, struct belief *b, const real dyn[CHANNELS], real T, real i)
 {
+    const real half = knots(p, R(0.5)), knot = knot_below(p, half), times = dyn[D_ERROR] * dyn[D_ERROR];
+    real value[CHANNELS], rise[CHANNELS];
+    dynamics(p, knot, T, value, rise);
     const real before = sqrt(p[P_INITIAL_CURRENT] * p[P_INITIAL_CURRENT] + i * i / 4);
     memset(b, 0, sizeof *b);
     b->x[0] = p[P_INITIAL_SOC];
     b->root[0][0] = p[P_INITIAL_SIGMA];
     for (int j = 0; j < N_RC; j++) {
-        const real r = dyn[D_RC1 + 2 * j], drop = r * before;
+        const real r = value[D_RC1 + 2 * j] + (half - knot) * rise[D_RC1 + 2 * j], drop = r * before;
         b->x[1 + j] = r * i / 2;
-        b->root[1 + j][1 + j] = sqrt(p[P_VAR_V + j] + drop * drop);
+        b->root[1 + j][1 + j] = sqrt(times * p[P_VAR_V + j] + drop * drop);
     }
     if (HYSTERESIS)
-        b->root[N - 1][N - 1] = sqrt(p[P_VAR_V + N_RC] + dyn[CHANNELS - 1] * dyn[CHANNELS - 1] / 3);
+        b->root[N - 1][N - 1] = sqrt(times * p[P_VAR_V + N_RC] + dyn[CHANNELS - 1] * dyn[CHANNELS - 1] / 3);
 }
 
 /* -- one cell ----------------------------------------------------------------------------------------------------- */
 
 /* Age what is held and take what is plausible; `*voltage` becomes NaN if it is not. Returns faults. */
-static int take(const real *p, struct cell *c, real dt, real current, real *voltage, real temperature)
+static int take(const real *p, struct cell *c, real dt, real current, real *voltage, real temperature, real *since_heard)
 {
     int faults = 0;
     c->current_age += dt;
@@ -272,6 +313,7 @@ static int take(const real *p, struct cell *c, real dt, real current, real *volt
     c->voltage_age += dt;
     c->heard_age += dt;
     c->rejected_s += dt;
+    *since_heard = c->heard_age;
     if (within(p, P_CURRENT_MIN, current)) {
         c->current = current;
         c->current_age = 0;
@@ -316,21 +358,25 @@ static void advance(const real *p, struct cell *c, const real dyn[CHANNELS], rea
 }
 
 /* Compare the voltage and fuse it, if the gate lets it. Returns faults. */
-static int fuse(const real *p, struct cell *c, real voltage, real T, real drop, real drop_sigma)
+static int fuse(const real *p, struct cell *c, real voltage, real T, real error, real r0, real ohmic, real drop,
+                real drop_sigma, real since_heard)
 {
     struct belief *b = &c->belief;
     struct innovation n;
     const struct row row = row_of(p, P_OCV, T);
     const real spread = p[P_GAMMA] * b->root[0][0];
     const real g[3] = {ocv(p, row, b->x[0]), ocv(p, row, b->x[0] + spread), ocv(p, row, b->x[0] - spread)};
-    innovate(p, b, g, drop, noise_of(p, c->voltage_age, drop_sigma), &n);
+    const real r = noise_of(p, c->voltage_age, error, c->adapted.voltage_scale, drop_sigma);
+    innovate(p, b, g, drop, r, &n);
     c->voltage_pred = n.predicted;
     c->innovation = voltage - n.predicted;
     c->innovation_var = n.variance;
     c->nis = c->innovation * c->innovation / n.variance;
     if (!isfinite(c->innovation + n.variance))
         return FAULT_NUMERIC;
-    if (!(c->innovation * c->innovation <= p[P_GATE2] * n.variance)) {
+    const bool accepted = c->innovation * c->innovation <= p[P_GATE2] * n.variance;
+    learn(p, &c->adapted, c->innovation, n.variance, r, accepted, since_heard, error, ohmic, r0);
+    if (!accepted) {
         if (isnan(c->rejected_s))
             c->rejected_s = 0;
         return FAULT_INNOVATION_REJECTED;
@@ -348,7 +394,8 @@ int cell_step(const real *p, struct cell *cell, double dt_s, double current_A, d
     const real dt = (real)dt_s;
     real voltage = (real)voltage_V;
     bool alive = sound(&c.belief, c.voltage_age);
-    int faults = take(p, &c, dt, (real)current_A, &voltage, (real)temperature_degC);
+    real since_heard;
+    int faults = take(p, &c, dt, (real)current_A, &voltage, (real)temperature_degC, &since_heard);
     const real gap = clamp((c.current_age <= 0 ? dt : c.current_age) - p[P_CURRENT_TIMEOUT], 0, dt);
     const real moved = charge(p, c.current, dt - gap);
 
@@ -361,20 +408,24 @@ int cell_step(const real *p, struct cell *cell, double dt_s, double current_A, d
 
     const bool unknown = c.current_age > p[P_CURRENT_TIMEOUT];
     const real i = unknown ? p[P_CURRENT_RANGE] : c.current;
-    const real drop = dyn[i < 0 ? D_R0_CHARGE : D_R0] * dyn[D_KNEE] * asinh(i / dyn[D_KNEE]);
-    const real drop_sigma = unknown ? drop : p[P_R0_REL] * drop;
+    const real r0 = dyn[i < 0 ? D_R0_CHARGE : D_R0], ohmic = r0 * dyn[D_KNEE] * asinh(i / dyn[D_KNEE]);
+    const real scale = isnan(c.adapted.r0_scale) ? 1 : beyond_shape(c.adapted.r0_scale), drop = scale * ohmic;
+    const real drop_sigma = unknown ? drop : p[P_R0_REL] * dyn[D_ERROR] * drop;
+    const bool own = !unknown && c.current_age <= R(R0_CURRENT_S);
 
     c.voltage_pred = c.innovation = c.innovation_var = c.nis = R(NAN);
     if (alive && dt > 0)
         advance(p, &c, dyn, moved, dt, gap);
     if (!alive && isfinite(voltage + c.current + c.temperature)) {
-        start(p, &c.belief, dyn, c.current);
+        start(p, &c.belief, dyn, T, c.current);
+        start_adapted(&c.adapted);
         c.gap_s = 0;
         c.voltage_age = R(VOLTAGE_ERROR_S);
         alive = true;
     }
     if (alive && !isnan(voltage))
-        faults |= fuse(p, &c, voltage, T, unknown ? 0 : drop, drop_sigma);
+        faults |= fuse(p, &c, voltage, T, dyn[D_ERROR], scale * r0, own ? ohmic : R(NAN), unknown ? 0 : drop, drop_sigma,
+                       since_heard);
     faults |= missing(p, c.current_age, gap, c.voltage_age, c.temperature_age);
 
     if ((faults & FAULT_NUMERIC) || (alive && !sound(&c.belief, c.voltage_age))) {
@@ -471,16 +522,31 @@ INLINE void store(struct lanes *w, int c, const struct belief *b)
     }
 }
 
+INLINE struct adapted load_adapted(const struct lanes *w, int c)
+{
+    return (struct adapted){w->voltage_scale[c], w->r0_scale[c], w->r0_var[c], w->residual[c], w->ohmic[c], w->fresh[c]};
+}
+
+INLINE void store_adapted(struct lanes *w, int c, const struct adapted *a)
+{
+    w->voltage_scale[c] = a->voltage_scale;
+    w->r0_scale[c] = a->r0_scale;
+    w->r0_var[c] = a->r0_var;
+    w->residual[c] = a->residual;
+    w->ohmic[c] = a->ohmic;
+    w->fresh[c] = a->fresh;
+}
+
 /* What a tick knows of the current, and works out on the way for each lane. */
 struct work {
     real dt, current, current_age, gap, known, moved;
     bool fresh;
     whole fault;
-    _Alignas(64) whole alive[LANES], code[LANES];
+    _Alignas(64) whole alive[LANES], code[LANES], fused[LANES];
     real voltage[LANES], T[LANES], soc[LANES];
     real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
-    real drop[LANES], drop_sigma[LANES], g[3][LANES];
-    real predicted[LANES], innovation[LANES], variance[LANES];
+    real r0[LANES], ohmic[LANES], drop[LANES], drop_sigma[LANES], since_heard[LANES], g[3][LANES];
+    real predicted[LANES], innovation[LANES], variance[LANES], r[LANES];
 };
 
 static void take_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y,
@@ -495,6 +561,7 @@ static void take_lanes(const real *restrict p, struct lanes *restrict w, struct 
         w->temperature_age[c] = felt ? 0 : w->temperature_age[c] + dt;
         w->rejected_s[c] = (heard & (heard_age > p[P_VOLTAGE_TIMEOUT])) ? R(NAN) : w->rejected_s[c] + dt;
         w->heard_age[c] = heard ? 0 : heard_age;
+        y->since_heard[c] = heard_age;
         w->voltage_age[c] += dt;
         y->voltage[c] = heard ? z : R(NAN);
         y->code[c] = y->fault | ((!felt & (T == T)) ? FAULT_TEMPERATURE_IMPLAUSIBLE : 0)
@@ -532,16 +599,20 @@ static void schedule(const real *restrict p, struct block *restrict s, const str
         EACH_LANE y->dyn[k][c] = s->value[k][c] + (y->soc[c] - s->knot[c]) * s->rise[k][c];
 }
 
-static void ohmic(const real *restrict p, struct work *restrict y)
+static void ohmic(const real *restrict p, const struct lanes *restrict w, struct work *restrict y)
 {
     const bool unknown = y->current_age > p[P_CURRENT_TIMEOUT];
     const real i = unknown ? p[P_CURRENT_RANGE] : y->current;
-    const real share = unknown ? 0 : 1, doubt = unknown ? 1 : p[P_R0_REL];
+    const real share = unknown ? 0 : 1, doubt = unknown ? 1 : p[P_R0_REL], uneven = unknown ? 0 : 1;
+    const real own = !unknown & (y->current_age <= R(R0_CURRENT_S)) ? 0 : R(NAN);
     const real *r0 = y->dyn[i < 0 ? D_R0_CHARGE : D_R0], *knee = y->dyn[D_KNEE];
     EACH_LANE {
-        const real drop = r0[c] * knee[c] * asinh_lane(i / knee[c]);
+        const real tracked = w->r0_scale[c], scale = tracked == tracked ? beyond_shape(tracked) : 1;
+        const real ohmic = r0[c] * knee[c] * asinh_lane(i / knee[c]), drop = scale * ohmic;
+        y->r0[c] = scale * r0[c];
+        y->ohmic[c] = ohmic + own;
         y->drop[c] = share * drop;
-        y->drop_sigma[c] = doubt * drop;
+        y->drop_sigma[c] = doubt * (uneven * y->dyn[D_ERROR][c] + 1 - uneven) * drop;
     }
 }
 
@@ -604,8 +675,11 @@ static void start_lanes(const real *p, struct lanes *w, struct work *y, int coun
         for (int k = 0; k < CHANNELS; k++)
             dyn[k] = y->dyn[k][c];
         struct belief b;
-        start(p, &b, dyn, y->current);
+        struct adapted a;
+        start(p, &b, dyn, y->T[c], y->current);
+        start_adapted(&a);
         store(w, c, &b);
+        store_adapted(w, c, &a);
         w->gap_s[c] = 0;
         w->voltage_age[c] = R(VOLTAGE_ERROR_S);
         y->alive[c] = 1;
@@ -630,8 +704,9 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         const struct belief before = load(w, c);
         struct belief b = load(w, c);
         struct innovation n;
+        const real r = noise_of(p, w->voltage_age[c], y->dyn[D_ERROR][c], w->voltage_scale[c], y->drop_sigma[c]);
         const real g[3] = {y->g[0][c], y->g[1][c], y->g[2][c]}, rejected_s = w->rejected_s[c];
-        innovate(p, &b, g, y->drop[c], noise_of(p, w->voltage_age[c], y->drop_sigma[c]), &n);
+        innovate(p, &b, g, y->drop[c], r, &n);
         const real innovation = y->voltage[c] - n.predicted;
         const real total = innovation + n.variance;
         const bool heard = (y->voltage[c] == y->voltage[c]) & (y->alive[c] != 0);
@@ -652,6 +727,18 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         y->predicted[c] = compared ? n.predicted : R(NAN);
         y->innovation[c] = compared ? innovation : R(NAN);
         y->variance[c] = compared ? n.variance : R(NAN);
+        y->r[c] = r;
+        y->fused[c] = fused ? 1 : 0;
+    }
+}
+
+static void learn_lanes(const real *restrict p, struct lanes *restrict w, const struct work *restrict y)
+{
+    EACH_LANE {
+        struct adapted a = load_adapted(w, c);
+        learn(p, &a, y->innovation[c], y->variance[c], y->r[c], y->fused[c] != 0, y->since_heard[c],
+              y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
+        store_adapted(w, c, &a);
     }
 }
 
@@ -691,6 +778,7 @@ static void publish(const struct lanes *restrict s, const struct work *restrict 
         out[OUT_INNOVATION_VAR * cells + c] = y->variance[c];
         out[OUT_NIS * cells + c] = y->innovation[c] * y->innovation[c] / y->variance[c];
         out[OUT_AGE * cells + c] = s->voltage_age[c];
+        out[OUT_R0 * cells + c] = y->alive[c] ? y->r0[c] : R(NAN);
         out[OUT_CODE * cells + c] = (real)y->code[c];
     }
 }
@@ -711,7 +799,7 @@ static int tick_block(const real *p, struct block *s, struct work *y, real *io, 
     }
     take_lanes(p, &w, y, temperature);
     schedule(p, s, &w, y);
-    ohmic(p, y);
+    ohmic(p, &w, y);
     if (y->dt > 0) {
         relax(p, y);
         advance_lanes(p, &w, y);
@@ -722,6 +810,7 @@ static int tick_block(const real *p, struct block *s, struct work *y, real *io, 
         start_lanes(p, &w, y, count);
     look_up(p, &w, y);
     fuse_lanes(p, &w, y);
+    learn_lanes(p, &w, y);
     judge_lanes(p, &w, &s->lanes, y);
     publish(&s->lanes, y, io, cells, count);
     int faults = 0, seen = 0;

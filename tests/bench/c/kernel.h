@@ -2,7 +2,7 @@
  *
  * Compile with -DBITS=64 or 32 (numbers) and -DHYSTERESIS=0 or 1 (a fourth state). `params` is the buffer that
  * bms_ukf.kernel.params.params makes; layout.h, its slots, is written from the Python at build time (c_kernel.py).
- * Left out: the quadrature update of a wide belief, and the belief forgotten after P_REJECT_S.
+ * Left out: the quadrature update of a wide first belief, and the belief doubted after P_REJECT_S.
  */
 #ifndef KERNEL_H
 #define KERNEL_H
@@ -37,10 +37,18 @@ struct belief {
     real carry[N];    /* of x, if COMPENSATED: what rounding took off */
 };
 
+/* What the innovations tell of the model. */
+struct adapted {
+    real voltage_scale, r0_scale, r0_var;
+    real residual, ohmic; /* of the last voltage: what was left of its innovation (NaN: refused); its ohmic drop */
+    real fresh;           /* 1: no voltage has been fused yet */
+};
+
 /* One cell. An age or a value of NaN: never measured. */
 struct cell {
     real current, temperature;
     real current_age, temperature_age, voltage_age, heard_age, rejected_s, gap_s;
+    struct adapted adapted;
     struct belief belief;
     real voltage_pred, innovation, innovation_var, nis; /* of the last step; NaN: nothing compared */
 };
@@ -49,6 +57,7 @@ struct cell {
 struct lanes {
     real temperature[LANES], temperature_age[LANES];
     real voltage_age[LANES], heard_age[LANES], rejected_s[LANES], gap_s[LANES];
+    real voltage_scale[LANES], r0_scale[LANES], r0_var[LANES], residual[LANES], ohmic[LANES], fresh[LANES];
     real x[N][LANES], root[ROOTS][LANES], carry[N][LANES];
 };
 
