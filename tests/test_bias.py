@@ -15,7 +15,7 @@ from bms_ukf.kernel import layout, srukf
 from bms_ukf.kernel.layout import Form, form
 from bms_ukf.kernel.memory import pointer
 
-SIGMA_A = CELL.cell.capacity_Ah / 100  # of an offset, before anything is known of it
+SIGMA_A = CELL.cell.capacity_Ah / 50  # of an offset, before anything is known of it
 NAN = math.nan
 
 
@@ -56,25 +56,52 @@ def test_a_reading_that_no_sensor_gives_is_no_offset(reading):
     assert told.current_bias_A == expected.current_bias_A
 
 
-def test_a_minute_of_rest_tells_a_small_offset_and_less_tells_nothing():
-    estimator = Estimator(CELL)
-    assert abs(shown(estimator, 0.04, range(60)).current_bias_A) < 1e-3
-    estimate = shown(estimator, 0.04, range(60, 62))
-    assert estimate.current_bias_A == pytest.approx(0.04, rel=0.15)
-    after = shown(estimator, 0.04, range(62, 300))
-    assert after.current_bias_A == pytest.approx(estimate.current_bias_A, rel=0.05)  # one rest is one reading
+def driven(estimator: Estimator, segments: list[tuple[float, int]], start_s: int = 0) -> Estimate:
+    """The estimate after segments of so many seconds of a current, a voltage at first only."""
+    second = start_s
+    for current_A, seconds in segments:
+        estimate = shown(estimator, current_A, range(second, second + seconds))
+        second += seconds
+    return estimate
 
 
-@pytest.mark.parametrize("load_A", [3.1 * SIGMA_A, -3.1 * SIGMA_A, 1.0])
-def test_a_steady_load_larger_than_any_offset_is_not_taken_for_one(load_A):
-    assert abs(shown(Estimator(CELL), load_A, range(600)).current_bias_A) < 0.02 * SIGMA_A
+def test_a_reading_that_comes_back_after_a_load_is_an_offset_and_the_first_of_them_tells_nothing():
+    estimator, rest, load = Estimator(CELL), (0.04, 150), (2.0, 30)
+    assert abs(driven(estimator, [rest]).current_bias_A) < 0.05 * SIGMA_A
+    before = driven(estimator, [load, (0.04, 119)], 150)
+    assert abs(before.current_bias_A) < 0.05 * SIGMA_A
+    told = driven(estimator, [(0.04, 3)], 299)
+    assert told.current_bias_A == pytest.approx(0.04, rel=0.15)
+    after = driven(estimator, [(0.04, 300)], 302)
+    assert after.current_bias_A == pytest.approx(told.current_bias_A, rel=0.08)  # one rest is one reading
+
+
+def test_a_slow_discharge_is_not_taken_for_rest_however_long_it_is():
+    slow_A = CELL.cell.capacity_Ah / 30
+    assert abs(driven(Estimator(CELL), [(slow_A, 20_000)]).current_bias_A) < 0.05 * SIGMA_A
+
+
+def test_rests_that_differ_tell_nothing():
+    estimate = driven(Estimator(CELL), [(0.04, 150), (2.0, 30), (0.08, 150), (2.0, 30), (0.12, 150)])
+    assert abs(estimate.current_bias_A) < 0.05 * SIGMA_A
+
+
+def test_a_reading_that_comes_back_without_a_load_between_tells_nothing():
+    estimate = driven(Estimator(CELL), [(0.04, 150), (0.1, 20), (0.04, 150), (0.1, 20), (0.04, 150)])
+    assert abs(estimate.current_bias_A) < 0.05 * SIGMA_A
+
+
+@pytest.mark.parametrize("load_A", [2.6 * SIGMA_A, -2.6 * SIGMA_A, 1.0])
+def test_a_load_larger_than_any_offset_is_not_taken_for_one_though_it_comes_back(load_A):
+    estimate = driven(Estimator(CELL), [(load_A, 150), (3.0, 30), (load_A, 150), (3.0, 30), (load_A, 150)])
+    assert abs(estimate.current_bias_A) < 0.05 * SIGMA_A
 
 
 def test_a_current_that_moves_is_no_rest():
-    estimator = Estimator(CELL)
-    for k in range(600):
-        current = 0.04 + 0.011 * (-1) ** k  # more than a thousandth of the capacity per hour
-        estimate = estimator.step(Sample(k * 10**9, current, 3.5 if k == 0 else NAN, 25.0))
+    estimator, step_A = Estimator(CELL), CELL.cell.capacity_Ah / 350  # more than what counts as standing still
+    for k in range(900):
+        reading = 2.0 if 300 <= k % 450 < 330 else 0.04 + 0.5 * step_A * (-1) ** k
+        estimate = estimator.step(Sample(k * 10**9, reading, 3.5 if k == 0 else NAN, 25.0))
     assert abs(estimate.current_bias_A) < 0.1 * SIGMA_A
 
 

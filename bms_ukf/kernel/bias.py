@@ -2,9 +2,9 @@
 
 Rest tells it outright: what a sensor shows while no current flows is its offset. That no current flows is known where
 the contactor is open. Elsewhere a small reading that stands still may be a small load: of a slow discharge, there is
-nothing to tell it from an offset. So only a reading that comes back is believed, at one rest as at the rest before, with
-a load between them; once a rest, with the sigma of what may draw a little all the time, and not at all if it is more
-than an offset could be.
+nothing to tell it from an offset. So only a reading that comes back is believed, at one rest as at the rest before,
+with a load between them; once a rest, with the sigma of what may draw a little all the time, and not at all if it is
+more than an offset could be.
 
 A voltage tells it by way of SoC: as far as SoC shows in the voltage against what the model itself may be wrong by.
 Slow errors of the model look like an offset to a filter that takes every second's voltage for news. So of its Kalman
