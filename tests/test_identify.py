@@ -354,7 +354,7 @@ def test_the_stated_error_of_r0_covers_what_halves_of_the_tests_make_of_it(
     """Fits to alternating blocks differ by the errors of both; sigmas of independent rows would be far smaller."""
     _, chosen, _, _ = identify.load(made_up, Manifest.load(made_up))
     fits = [
-        dynamics.fit(found.model, dynamics._alternate(chosen["fit"], phase), evaluations=8, kept=700)
+        dynamics.fit(found.model, dynamics._alternate(chosen["fit"], phase), evaluations=8, kept=700, uncertain=True)
         for phase in (0, 1)
     ]
     seen = [fit.unknowns.tables(fit.x)[R0][:, uncertainty.MIDDLE] for fit in fits]

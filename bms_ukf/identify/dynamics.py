@@ -140,10 +140,10 @@ def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lamb
     chosen = best.unknowns.structure
     progress(f"fitting {chosen} to all")
     if chosen.core is None:
-        model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4)
+        model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4, uncertain=True)
     else:  # the load's heat is told from what is left without it, not from where half of the rows led
         without = fit(build(Structure(chosen.pairs, hysteresis)), tests, evaluations=15, kept=KEPT)
-        model = fit(_with_core(without, best), tests, evaluations=20, kept=KEPT, ftol=2e-4)
+        model = fit(_with_core(without, best), tests, evaluations=20, kept=KEPT, ftol=2e-4, uncertain=True)
     model.held_out_mV = held_out_mV
     return model
 
@@ -165,10 +165,14 @@ def ocv_slope_V(slow: ocv.Slow) -> Array:
     return np.clip(rise_V / (right - left), 0.05, 3.0)
 
 
-def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, ftol: float = 1e-3) -> Model:
-    """`model` fitted to the counted rows of the tests, from where it stands."""
+def fit(
+    model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, ftol: float = 1e-3, uncertain: bool = False
+) -> Model:
+    """`model` fitted to the counted rows of the tests, from where it stands; with standard errors if `uncertain`."""
     strides = [max(1, test.soc.size // kept) for test in tests]
-    weights = [_weights(model, test, stride) for test, stride in zip(tests, strides, strict=True)]
+    every = [_weights(model, test, stride) for test, stride in zip(tests, strides, strict=True)]
+    rows = [np.flatnonzero(weight) for weight in every]  # the others cost time and say nothing
+    weights = [weight[kept] for weight, kept in zip(every, rows, strict=True)]
     unknowns = model.unknowns
     extra = model.x.size - unknowns.size
     prior = np.hstack([unknowns.prior, np.zeros((len(unknowns.prior), extra))])
@@ -179,15 +183,15 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, 
 
     def residuals(x: Array) -> Array:
         errors = [
-            ((model._run(x, test, 0)[0] - test.voltage_V)[::stride] / SCALE_V) * weight
-            for test, stride, weight in zip(tests, strides, weights, strict=True)
+            (model._run(x, test, 0)[0] - test.voltage_V)[::stride][kept] / SCALE_V * weight
+            for test, stride, kept, weight in zip(tests, strides, rows, weights, strict=True)
         ]
         return np.concatenate([*errors, prior @ x - target])
 
     def jacobian(x: Array) -> Array:
         blocks = [
-            model._run(x, test, stride)[1] * (weight / SCALE_V)[:, None]
-            for test, stride, weight in zip(tests, strides, weights, strict=True)
+            model._run(x, test, stride)[1][kept] * (weight / SCALE_V)[:, None]
+            for test, stride, kept, weight in zip(tests, strides, rows, weights, strict=True)
         ]
         return np.vstack([*blocks, prior])
 
@@ -197,9 +201,11 @@ def fit(model: Model, tests: Sequence[Samples], *, evaluations: int, kept: int, 
         found = least_squares(
             residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
         )
-    edges = np.cumsum([weight.size for weight in weights])
-    rows = [np.flatnonzero(weight) + edge - weight.size for weight, edge in zip(weights, edges, strict=True)]
-    sigma = effective.standard_errors([found.jac[k] for k in rows], [found.fun[k] for k in rows], prior)
+    edges = np.cumsum([weight.size for weight in weights])[:-1]
+    sigma = None
+    if uncertain:
+        parts = np.split(found.jac[: -len(prior)], edges), np.split(found.fun[: -len(prior)], edges)
+        sigma = effective.standard_errors(*parts, prior)
     return Model(unknowns, model.ocv, model.capacity_Ah, found.x, sigma, dict(model.held_out_mV))
 
 

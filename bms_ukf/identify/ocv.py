@@ -178,7 +178,7 @@ def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tup
     fitted = lsq_linear(system, target, bounds=(lower, np.full(SOC.size, np.inf)), method="bvls", tol=1e-9).x
     residual_V = (design @ fitted - voltage_V)[np.argsort(soc, kind="stable")]
     error_V = float(np.sqrt(np.sum(residual_V**2) / effective.rows(residual_V)))
-    covariance = np.linalg.pinv(system.T @ system)
+    covariance = np.linalg.pinv(system.T @ system, hermitian=True)
     to_voltage = np.tril(np.ones((SOC.size, SOC.size)))
     sigma_V = error_V * np.sqrt(np.maximum(np.diag(to_voltage @ covariance @ to_voltage.T), 0))
     return np.cumsum(fitted), np.asarray(sigma_V)
