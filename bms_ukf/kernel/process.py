@@ -140,10 +140,11 @@ def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
 
 @inline
 def beyond_shape(p: Any, scale: Any) -> Any:
-    """Of a tracked r0, as a multiple of the cell file's, what the shape of the circuit does not explain.
+    """The multiple of the cell file's r0 to use, with a dead band: nothing of the first R0_SHAPE that steps ask for.
 
     A cell file that has the fast resistance a little wrong has made up for it in the first RC pair; to correct the one
-    alone would make the sum wrong.
+    alone would make the sum wrong. What is tracked goes on until what is used explains the steps, so an aged cell's r0
+    is found as it is.
     """
     margin = real(p, R0_SHAPE)
     away = scale - real(p, 1)
