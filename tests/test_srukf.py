@@ -247,7 +247,8 @@ def test_compiled_and_plain_python_runs_agree(tmp_path):
     rows[50:60, 2] = np.nan  # no voltage for a while
     rows[100:130, 1] = np.nan  # no current for longer than its timeout
     rows[200, 2] = 3.0  # an outlier for the gate
-    rows[300:380, 1] = 0.03  # a rest
+    rows[150:360, 1] = 0.03  # two rests with a load between
+    rows[250, 1] = 3.0
     np.save(tmp_path / "in.npy", rows)
     (tmp_path / "cell.toml").write_text(synthetic_cell.as_toml(synthetic_cell.nonlinear()))
     results = []
