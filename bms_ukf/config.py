@@ -15,10 +15,10 @@ from bms_ukf.decoder import Decoder
 from bms_ukf.e2e_settings import E2e
 from bms_ukf.errors import ConfigError
 from bms_ukf.intake import Intake
+from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.scaling import scaled
 from bms_ukf.signals import Bound, SignalMap
 from bms_ukf.tuning import Tuning
-from bms_ukf.zero_current import ZeroCurrent
 
 Text = Annotated[str, Field(min_length=1)]
 Scale = Annotated[float, Field(ge=1e-3, le=1e3)]
@@ -112,10 +112,10 @@ class Setup:
         signals, tuning = self.config.signals, self.config.estimator
         if signals is None:
             return Intake(self.decoder)
-        sigma_A = tuning.current_offset_sigma_A or self.cell.cell.capacity_Ah / 100
-        zero = ZeroCurrent(5 * sigma_A) if signals.contactor is not None else None
+        sigma_A = tuning.current_offset_sigma_A or self.cell.cell.capacity_Ah / 50
+        circuit = OpenCircuit(3 * sigma_A) if signals.contactor is not None else None
         lag = signals.lag_s
-        return Intake(self.decoder, zero, Alignment(lag.current, lag.voltage, lag.temperature))
+        return Intake(self.decoder, circuit, Alignment(lag.current, lag.voltage, lag.temperature))
 
     def _cell(self) -> CellParams:
         config = self.config

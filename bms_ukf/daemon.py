@@ -127,7 +127,7 @@ class Daemon:
         received, counters = self.intake.counters, self.bus.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self.bus.failures + received.lost)
         detail = self.publication.complete(self.estimate, t_ns, shown | self.commissioning.fault)
-        detail.current_bias_A = self._bias_A()
+        detail.current_bias_A = float(np.mean(self.estimate.current_bias_A))
         accepted = self.estimator.accepted
         if t_ns - self._health_ns >= HEALTH_NS:
             counts = (counters.dropped, received.refused, counters.send_failed, self._clock.steps, counters.reopened)
@@ -140,12 +140,6 @@ class Daemon:
         # A period that is late once is made up for, one that is late by more is not.
         on_time = self._periodic and self._due_after_ns and t_ns - self._published_ns < 2 * self._due_after_ns
         self._published_ns = self._published_ns + self._due_after_ns if on_time and self._due_after_ns else t_ns
-
-    def _bias_A(self) -> float:
-        """What the current sensor shows too much, as far as it is known."""
-        estimated, zero = float(np.mean(self.estimate.current_bias_A)), self.intake.zero
-        learnt = math.nan if zero is None or not zero.known else zero.offset_A
-        return learnt if math.isnan(estimated) else estimated if math.isnan(learnt) else estimated + learnt
 
     def _patience_s(self) -> float:
         if not self._periodic or self._due_after_ns is None:

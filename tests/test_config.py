@@ -212,7 +212,7 @@ def test_a_mistake_is_one_line_naming_file_key_and_what_was_expected(config, tmp
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (MINIMAL.replace("lgm50_chen2020", "lgm50"), "lgm50: expected a file, or one of the shipped cells: "),
+        (MINIMAL.replace("lgm50_chen2020", "lgm51"), "lgm51: expected a file, or one of the shipped cells: "),
         (MINIMAL + SIGNALS.replace("vehicle.dbc", "no.dbc"), "no.dbc: expected a readable DBC file"),
         (MINIMAL + SIGNALS.replace("vehicle.dbc", "can.toml"), "can.toml: expected a readable DBC file"),
         ("format = \n", "can.toml: expected TOML"),

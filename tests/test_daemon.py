@@ -29,7 +29,7 @@ from bms_ukf.dbc import own_matrix
 from bms_ukf.decoder import Decoder
 from bms_ukf.intake import Intake
 from bms_ukf.node import EstimateDecoder, SampleEncoder
-from bms_ukf.zero_current import ZeroCurrent
+from bms_ukf.open_circuit import OpenCircuit
 
 SECOND_NS = 1_000_000_000
 SILENCE_S = 2.5  # between two and three of the samples below, one a second
@@ -413,7 +413,7 @@ def test_detail_comes_with_every_set_and_health_once_a_second(cell, samples):
         assert [str(row["Source"]) for row in detail[:2]] == ["start", "voltage"]
         soc = signals_of("SocEstimate", frames)[-1]["Soc"]
         assert detail[-1]["SocSlewed"] == pytest.approx(soc, abs=2.0)
-        assert str(detail[-1]["CurrentBias"]) == "NotAvailable"
+        assert abs(detail[-1]["CurrentBias"]) < 0.2
         assert {row["FramesRefused"] for row in health} == {0}
 
 
@@ -442,12 +442,22 @@ def test_a_current_of_the_wrong_sign_is_told_on_the_bus_and_not_passed_as_ok(cel
 
 def test_the_offset_learnt_with_open_contactors_is_published(cell):
     with rig_of(cell) as rig:
-        rig.daemon.intake.zero = ZeroCurrent(limit_A=0.5)
+        rig.daemon.intake = Intake(rig.decoder, OpenCircuit(limit_A=0.5))
         rig.decoder.contactor.is_open = True
-        for k in range(1, 20):
+        for k in range(1, 60):
             rig.decoder.contactor.t_ns = k * SECOND_NS
             rig.feed(Sample(k * SECOND_NS, 0.12, 3.7, 25.0))
-        assert signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"] == pytest.approx(0.12)
+        assert signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"] == pytest.approx(0.12, abs=0.015)
+
+
+def test_a_current_that_flows_through_contactors_said_to_be_open_still_counts(cell):
+    with rig_of(cell) as rig:
+        rig.daemon.intake = Intake(rig.decoder, OpenCircuit(limit_A=0.5))
+        rig.decoder.contactor.is_open = True
+        for k in range(1, 60):
+            rig.decoder.contactor.t_ns = k * SECOND_NS
+            rig.feed(Sample(k * SECOND_NS, 5.0, 3.7, 25.0))
+        assert abs(signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"]) < 0.2
 
 
 def test_signals_that_arrive_late_are_estimated_as_if_they_did_not(cell, samples):
