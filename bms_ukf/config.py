@@ -16,6 +16,7 @@ from bms_ukf.e2e_settings import E2e
 from bms_ukf.errors import ConfigError
 from bms_ukf.intake import Intake
 from bms_ukf.open_circuit import OpenCircuit
+from bms_ukf.pace import Pace
 from bms_ukf.scaling import scaled
 from bms_ukf.signals import Bound, SignalMap
 from bms_ukf.tuning import Tuning
@@ -72,6 +73,14 @@ class Signals(toml.Section):
         return self
 
 
+class State(toml.Section):
+    """[state]: where what is known of the battery outlives the process."""
+
+    file: Text  # in systemd's state folder of the service, else relative to the configuration file
+    period_s: Annotated[float, Field(ge=0.1, le=3600)] = 10.0
+    max_age_s: Annotated[float, Field(gt=0)] = 2_592_000.0  # an older one is not used
+
+
 class Config(toml.Document):
     """A whole CONFIG.toml."""
 
@@ -85,6 +94,7 @@ class Config(toml.Document):
     soc_slew_per_s: Annotated[float, Field(gt=0, le=1)] = 0.001  # how fast SocSlewed may be corrected
     bus: Bus
     signals: Signals | None = None
+    state: State | None = None
     estimator: Tuning = Field(default_factory=Tuning)
 
 
@@ -100,6 +110,12 @@ class Setup:
             for bound in self.decoder.bound:
                 _check_scale(bound, self.cell, source)
                 self.warnings += [bound.warning] if bound.warning else []
+
+    @property
+    def pace(self) -> Pace:
+        """When sets of frames are published."""
+        config = self.config
+        return Pace(config.silence_s, config.period_s if config.transmit == "periodic" else None, config.soc_slew_per_s)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -21,12 +21,14 @@ from bms_ukf.commissioning import Commissioning
 from bms_ukf.encoder import Encoder
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
+from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
-from bms_ukf.records import Fault, Sample
+from bms_ukf.records import Fault, Sample, Source, Stored
 from bms_ukf.scan import Scan
 
 FAULT_HOLD_NS = 1_000_000_000
 HEALTH_NS = 1_000_000_000
+CHORES_NS = 100_000_000
 IMPLAUSIBLE = Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE
 POLL_S = 0.1  # how long a request to stop may wait
 
@@ -54,36 +56,51 @@ class Daemon:
         intake: Intake,
         *,
         clock: Clock | None = None,
-        silence_s: float = 2.0,
-        period_s: float | None = None,
-        soc_slew_per_s: float = 0.001,
+        pace: Pace = Pace(),  # noqa: B008 - a tuple
         fd: bool = False,
     ) -> None:
-        """`clock` times the frames (None: a `StampClock`); `silence_s` after the last answer a prediction is sent.
-
-        `period_s` None: an answer after every scan of the voltages. `fd`: CAN FD frames are read.
-        """
-        self.bus, self.estimator, self.intake = bus, estimator, intake
+        """`clock` times the frames (None: a `StampClock`). `fd`: CAN FD frames are read."""
+        self.estimator = estimator
         self.encoder = Encoder(estimator.cells)
-        self.publication = Publication(estimator.cell.cell.capacity_Ah, soc_slew_per_s)
+        self.publication = Publication(estimator.cell.cell.capacity_Ah)
         self.commissioning = Commissioning(estimator.cell)
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
         self._clock: Clock = clock or StampClock()
         self._scan = Scan(estimator.cells)
-        self._periodic, self._fd = period_s is not None, fd
-        due_after_s = silence_s if period_s is None else period_s
-        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
         self._published_ns = self._health_ns = 0
         self._stepped = False  # since the last set
-        self._refused = _Recent(Fault.E2E)
-        self._failed = _Recent(Fault.BUS)
+        self.reconfigure(bus, intake, pace=pace, fd=fd)
 
-    def run(self, stop: threading.Event) -> None:
-        """Serve the bus until `stop` is set."""
+    def reconfigure(self, bus: SafeBus, intake: Intake, *, pace: Pace, fd: bool) -> None:
+        """Go on with another bus, way in and pace. What the estimator knows, the time and the counters stay."""
+        self.bus, self.intake, self._fd = bus, intake, fd
+        self.publication.slew_per_s = pace.soc_slew_per_s
+        self._periodic = pace.period_s is not None
+        due_after_s = pace.silence_s if pace.period_s is None else pace.period_s
+        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
+        self._refused = _Recent(Fault.E2E, intake.counters.refused)
+        self._failed = _Recent(Fault.BUS, bus.failures + intake.counters.lost)
+
+    def now_ns(self) -> int:
+        """The time the next frame would be given."""
+        return self._clock.advance()
+
+    def resumed(self, stored: Stored) -> None:
+        """Tell on the bus what became of a belief that was stored, now that the estimator has it or not."""
+        self.publication.detail.stored = stored
+        if stored is Stored.USED:
+            self.publication.detail.source = Source.STORED
+
+    def run(self, stop: threading.Event, chores: Callable[[], None] | None = None) -> None:
+        """Serve the bus until `stop` is set. `chores` are done in between, every CHORES_NS or so."""
+        due_ns = 0
         while not stop.is_set():
             if not self.poll(self._patience_s()):
                 self._publish_if_due(self._clock.advance())
+            if chores is not None and self._clock.now() >= due_ns:
+                chores()
+                due_ns = self._clock.now() + CHORES_NS
 
     def poll(self, timeout_s: float) -> bool:
         """Wait for one frame and handle it; False if none came. A scan that is complete is answered by publishing."""
@@ -151,8 +168,8 @@ class Daemon:
 class _Recent:
     """A fault that is shown for FAULT_HOLD_NS after its counter moved."""
 
-    def __init__(self, fault: Fault) -> None:
-        self._fault, self._count, self._until_ns = fault, 0, -1
+    def __init__(self, fault: Fault, count: int) -> None:
+        self._fault, self._count, self._until_ns = fault, count, -1
 
     def at(self, t_ns: int, count: int) -> Fault:
         if count != self._count:

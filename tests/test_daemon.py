@@ -30,6 +30,7 @@ from bms_ukf.decoder import Decoder
 from bms_ukf.intake import Intake
 from bms_ukf.node import EstimateDecoder, SampleEncoder
 from bms_ukf.open_circuit import OpenCircuit
+from bms_ukf.pace import Pace
 
 SECOND_NS = 1_000_000_000
 SILENCE_S = 2.5  # between two and three of the samples below, one a second
@@ -87,7 +88,7 @@ class Rig:
         self.bus = SafeBus(lambda: open_bus(settings, "daemon"))
         self.estimator = Estimator(cell, cells)
         self.decoder = Decoder(cells=cells)
-        options = {"clock": self.clock, "silence_s": SILENCE_S} | options
+        options = {"clock": self.clock, "pace": Pace(SILENCE_S)} | options
         self.daemon = Daemon(self.bus, self.estimator, Intake(self.decoder), **options)
         self.encoder = SampleEncoder(cells)
 
@@ -369,7 +370,7 @@ def test_a_dead_cell_does_not_hold_up_the_answers_about_the_others(cell, dead):
 
 
 def test_with_a_period_sets_come_at_a_steady_rate_however_fast_the_frames_do(cell, samples):
-    with rig_of(cell, period_s=0.5) as rig:
+    with rig_of(cell, pace=Pace(period_s=0.5)) as rig:
         times = []
         for sample in samples(20):
             for tenth in range(10):
@@ -380,7 +381,7 @@ def test_with_a_period_sets_come_at_a_steady_rate_however_fast_the_frames_do(cel
 
 def test_with_a_period_silence_is_told_at_the_same_rate_and_the_counter_is_held(cell, samples, monkeypatch):
     monkeypatch.setattr(daemon_module, "POLL_S", 0.0)
-    with rig_of(cell, period_s=0.1) as rig:
+    with rig_of(cell, pace=Pace(period_s=0.1)) as rig:
         for sample in samples(30):
             rig.feed(sample)
         rig.frames()
@@ -403,7 +404,7 @@ def signals_of(name: str, frames: list[can.Message]) -> list[dict[str, Any]]:
 
 
 def test_detail_comes_with_every_set_and_health_once_a_second(cell, samples):
-    with rig_of(cell, silence_s=2.5) as rig:
+    with rig_of(cell, pace=Pace(2.5)) as rig:
         for sample in samples(10):
             for half in range(2):
                 rig.feed(replace(sample, t_ns=sample.t_ns + half * SECOND_NS // 2))

@@ -65,6 +65,10 @@ MAY_IMPORT = {
     "socketcan": set(),
     "seldom": set(),
     "publication": {"records"},
+    "pace": set(),
+    "slots": set(),
+    "state": {"estimator", "records", "seldom", "slots"},
+    "notify": set(),
     "commissioning": {"cell", "records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
