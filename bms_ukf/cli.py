@@ -47,14 +47,15 @@ def demo(report: Path) -> None:
 @cli.command()
 @click.argument("config", type=PATH)
 @click.option("--check", is_flag=True, help="Explain the configuration and exit.")
-def run(config: Path, check: bool) -> None:
+@click.option("--log-frames", type=PATH, callback=_writable, help="Write all frames here: .log, .asc, .blf, .trc, .mf4")
+def run(config: Path, check: bool, log_frames: Path | None) -> None:
     """Estimate SoC on a CAN interface, as a daemon."""
     from bms_ukf import service
 
     if check:
         click.echo(service.explain(config))
     else:
-        service.serve(config)
+        service.serve(config, log_frames)
 
 
 @cli.command()
@@ -144,9 +145,9 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 
 @cli.command("replay")
 @click.argument("inputs", type=PATH, nargs=-1, required=True)
-@click.option("--cell", required=True, help="A cell file, or the name of a shipped one.")
-@click.option("--config", type=PATH, help="Take the [estimator] section of a CONFIG.toml.")
-@click.option("--current-positive", type=click.Choice(["charge", "discharge"]), required=True, help="Sign in the file.")
+@click.option("--cell", help="A cell file, or the name of a shipped one.  [CAN logs: default as in CONFIG]")
+@click.option("--config", type=PATH, help="CONFIG.toml: how CAN logs are read; for others its [estimator] section.")
+@click.option("--current-positive", type=click.Choice(["charge", "discharge"]), help="Sign; required but for CAN logs.")
 @click.option("--initial-soc", type=click.FloatRange(0, 1), help="Default: from the first voltage.")
 @click.option("--initial-sigma", type=click.FloatRange(0, 0.5, min_open=True), help="Its standard deviation.")
 @click.option("--current-offset", "current_offset_A", default=0.0, help="Add to the current, A; positive = discharge.")
@@ -164,7 +165,7 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Recordings run at a time.")
 def replay_(
     inputs: tuple[Path, ...],
-    cell: str,
+    cell: str | None,
     config: Path | None,
     out: Path | None,
     json_path: Path | None,
@@ -173,7 +174,7 @@ def replay_(
     jobs: int,
     **options: Any,
 ) -> None:
-    """Re-run the estimator over recordings: files, or folders of them.
+    """Re-run the estimator over recordings, CSV, Parquet or CAN logs: files, or folders of them.
 
     With several, --out, --json and --report name folders.
     """

@@ -81,6 +81,14 @@ class State(toml.Section):
     max_age_s: Annotated[float, Field(gt=0)] = 2_592_000.0  # an older one is not used
 
 
+class Recorder(toml.Section):
+    """[recorder]: the last minutes before a fault, in a file that can be replayed."""
+
+    folder: Text  # as for the state
+    span_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
+    keep: Annotated[int, Field(ge=1, le=1000)] = 10  # files
+
+
 class Config(toml.Document):
     """A whole CONFIG.toml."""
 
@@ -95,15 +103,17 @@ class Config(toml.Document):
     bus: Bus
     signals: Signals | None = None
     state: State | None = None
+    recorder: Recorder | None = None
     estimator: Tuning = Field(default_factory=Tuning)
 
 
 class Setup:
     """A configuration with everything it names loaded and checked; ConfigError for the first thing that is wrong."""
 
-    def __init__(self, config: Config, source: Path) -> None:
+    def __init__(self, config: Config, source: Path, cell: CellParams | None = None) -> None:
+        """`cell`: in place of the one the configuration names, before it is scaled."""
         self.config, self.source = config, source
-        self.cell = self._cell()
+        self.cell = self._cell(cell)
         self.warnings: list[str] = []
         self.decoder = self._decoder()
         if config.signals is not None:
@@ -118,10 +128,10 @@ class Setup:
         return Pace(config.silence_s, config.period_s if config.transmit == "periodic" else None, config.soc_slew_per_s)
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """The configuration in a file."""
+    def load(cls, path: str | Path, cell: CellParams | None = None) -> Self:
+        """The configuration in a file; `cell` as of the class itself."""
         source = Path(path)
-        return cls(toml.load(source, Config), source)
+        return cls(toml.load(source, Config), source, cell)
 
     def intake(self) -> Intake:
         """The way in for frames of that bus."""
@@ -133,9 +143,10 @@ class Setup:
         lag = signals.lag_s
         return Intake(self.decoder, circuit, Alignment(lag.current, lag.voltage, lag.temperature))
 
-    def _cell(self) -> CellParams:
+    def _cell(self, cell: CellParams | None) -> CellParams:
         config = self.config
-        cell = CellParams.load(resources.find(config.cell, "cells", ".toml", relative_to=self.source.parent))
+        if cell is None:
+            cell = CellParams.load(resources.find(config.cell, "cells", ".toml", relative_to=self.source.parent))
         if config.capacity_scale == 1.0 and config.resistance_scale is None:
             return cell
         try:

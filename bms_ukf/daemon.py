@@ -23,7 +23,7 @@ from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
-from bms_ukf.records import Fault, Sample, Source, Stored
+from bms_ukf.records import Detail, Estimate, Fault, Sample, Source, Stored
 from bms_ukf.scan import Scan
 
 FAULT_HOLD_NS = 1_000_000_000
@@ -46,6 +46,16 @@ class Clock(Protocol):
     def advance(self) -> int: ...
 
 
+class Witness(Protocol):
+    """Who is told of all that happens, in the daemon's own loop. What it is given is overwritten later."""
+
+    def stepped(self, sample: Sample, estimate: Estimate) -> None: ...
+
+    def coasted(self, t_ns: int, estimate: Estimate) -> None: ...
+
+    def published(self, t_ns: int, estimate: Estimate, detail: Detail) -> None: ...
+
+
 class Daemon:
     """One estimator on one bus. `poll` handles one frame, `run` does so until told to stop."""
 
@@ -66,6 +76,7 @@ class Daemon:
         self.commissioning = Commissioning(estimator.cell)
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
+        self.witness: Witness | None = None
         self._clock: Clock = clock or StampClock()
         self._scan = Scan(estimator.cells)
         self._published_ns = self._health_ns = 0
@@ -120,10 +131,12 @@ class Daemon:
     def _handle(self, samples: Sequence[Sample]) -> None:
         for sample in samples:
             if _is_empty(sample):  # its sender lives, and knows nothing: no reason to look alive
-                self.estimator.coast(sample.t_ns, out=self.estimate)
+                self._coast(sample.t_ns)
                 self.publication.follow(sample, self.estimate)
                 continue
             self.estimator.step(sample, out=self.estimate)
+            if self.witness is not None:
+                self.witness.stepped(sample, self.estimate)
             self.publication.follow(sample, self.estimate)
             if not self.estimate.faults & IMPLAUSIBLE:
                 self.commissioning.see(sample)
@@ -131,13 +144,18 @@ class Daemon:
             if self._scan.ends_with(sample) and not self._periodic:
                 self._publish(sample.t_ns + self.intake.behind_ns)
 
+    def _coast(self, t_ns: int) -> None:
+        self.estimator.coast(t_ns, out=self.estimate)
+        if self.witness is not None:
+            self.witness.coasted(t_ns, self.estimate)
+
     def _publish_if_due(self, t_ns: int) -> None:
         """Publish every period, or a prediction after too long a silence: it must not look like a steady SoC."""
         if self._due_after_ns is None or t_ns - self._published_ns < self._due_after_ns:
             return
         self._handle(self.intake.due(t_ns))
         if not (self._periodic and self._stepped):
-            self.estimator.coast(t_ns - self.intake.behind_ns, out=self.estimate)
+            self._coast(t_ns - self.intake.behind_ns)
         self._publish(t_ns)
 
     def _publish(self, t_ns: int) -> None:
@@ -153,6 +171,8 @@ class Daemon:
         for frame in self.encoder.encode(self.estimate, detail, accepted):
             self.bus.send(frame, t_ns)
         self.published += 1
+        if self.witness is not None:
+            self.witness.published(t_ns, self.estimate, detail)
         self._stepped = False
         # A period that is late once is made up for, one that is late by more is not.
         on_time = self._periodic and self._due_after_ns and t_ns - self._published_ns < 2 * self._due_after_ns

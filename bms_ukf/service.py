@@ -17,10 +17,12 @@ from types import FrameType
 
 from bms_ukf import roles
 from bms_ukf.bus import SafeBus, open_bus
-from bms_ukf.config import Setup, State
+from bms_ukf.config import Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
+from bms_ukf.flight import Recorder
+from bms_ukf.framelog import FrameLog
 from bms_ukf.notify import Notifier
 from bms_ukf.records import Status, Stored
 from bms_ukf.state import Keeper, resume
@@ -30,8 +32,11 @@ log = logging.getLogger(__name__)
 STATUS_S = 5.0
 
 
-def serve(path: Path) -> None:
-    """Run the daemon of a CONFIG file. ConfigError if it cannot start; SIGINT raises KeyboardInterrupt at the end."""
+def serve(path: Path, log_frames: Path | None = None) -> None:
+    """Run the daemon of a CONFIG file. ConfigError if it cannot start; SIGINT raises KeyboardInterrupt at the end.
+
+    `log_frames`: every frame received and sent is written to this file.
+    """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     stop = threading.Event()
     received: list[int] = []
@@ -40,7 +45,7 @@ def serve(path: Path) -> None:
         received.append(number)
         stop.set()
 
-    service = Service(path)
+    service = Service(path, log_frames)
     signals = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
     previous = {number: signal.signal(number, on_signal) for number in signals}
     try:
@@ -62,22 +67,24 @@ def serve(path: Path) -> None:
 class Service:
     """The daemon of one CONFIG file, and what an operating system wants of it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, log_frames: Path | None = None) -> None:
         """Opens the bus and compiles. ConfigError if that is not possible."""
         self._path, self._setup = path, _checked(path)
+        self._log = None if log_frames is None else FrameLog(log_frames)
         self._notify = Notifier()
         config = self._setup.config
         self._bus = self._opened(self._setup)
         self._estimator = Estimator(self._setup.cell, config.cells, config.estimator)
         self.daemon = Daemon(self._bus, self._estimator, self._setup.intake(), pace=self._setup.pace, fd=config.bus.fd)
         self._keeper = self._keeper_of(self._setup)
+        self.daemon.witness = self._recorder_of(self._setup)
         self._store_at_s = self._status_at_s = 0.0
 
     def start(self) -> None:
         """Take up what was stored, and say that the daemon runs."""
         state = self._setup.config.state
         if state is not None:
-            place = _place(state, self._path)
+            place = _place(state.file, self._path)
             stored, line = resume(self._estimator, place, time.time_ns(), self.daemon.now_ns(), state.max_age_s)
             log.log(logging.INFO if stored <= Stored.USED else logging.WARNING, "state: %s: %s", stored.word, line)
             self.daemon.resumed(stored)
@@ -113,6 +120,8 @@ class Service:
         if self._keeper is not None and not self._keeper.close():
             log.warning("state: %s: not stored in time", self._keeper.path)
         self._bus.close()
+        if self._log is not None:
+            self._log.close()
         counters = self._setup.decoder.counters
         log.info("stopped: %d answers; received %s; bus %s", self.daemon.published, counters, self._bus.counters)
 
@@ -131,14 +140,27 @@ class Service:
         if not same_state and self._keeper is not None:
             self._keeper.close()
         self._setup, self._keeper = setup, keeper
+        if old.recorder != new.recorder:
+            self.daemon.witness = self._recorder_of(setup)
         self.daemon.reconfigure(self._bus, setup.intake(), pace=setup.pace, fd=new.bus.fd)
 
     def _opened(self, setup: Setup) -> SafeBus:
-        return SafeBus(lambda: open_bus(setup.config.bus, str(self._path), setup.decoder.ids()))
+        return SafeBus(lambda: open_bus(setup.config.bus, str(self._path), setup.decoder.ids()), self._log)
 
     def _keeper_of(self, setup: Setup) -> Keeper | None:
         state = setup.config.state
-        return None if state is None else Keeper(_place(state, self._path))
+        return None if state is None else Keeper(_place(state.file, self._path))
+
+    def _recorder_of(self, setup: Setup) -> Recorder | None:
+        wanted = setup.config.recorder
+        if wanted is None:
+            return None
+        folder = _place(wanted.folder, self._path)
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise ConfigError(self._path, key="recorder.folder", value=str(folder), expected=str(error)) from None
+        return Recorder(self._estimator, folder, wanted.span_s, wanted.keep)
 
     def _store(self) -> None:
         """Nothing that is worth less than what was stored before takes its place."""
@@ -170,15 +192,19 @@ def _explanation(setup: Setup) -> str:
         *roles.explained(setup.decoder.bound, signals),
     ]
     if config.state is not None:
-        lines.append(f"state stored in {_place(config.state, setup.source)} every {config.state.period_s:g} s")
+        lines.append(f"state stored in {_place(config.state.file, setup.source)} every {config.state.period_s:g} s")
+    if config.recorder is not None:
+        lines.append(
+            f"on a fault the last {config.recorder.span_s:g} s to {_place(config.recorder.folder, setup.source)}"
+        )
     lines += [f"warning: {warning}" for warning in setup.warnings]
     return "\n".join(lines)
 
 
-def _place(state: State, source: Path) -> Path:
-    """The file for the state: where systemd gives the service a folder, there, else beside the configuration."""
+def _place(name: str, source: Path) -> Path:
+    """A file or folder of the service: where systemd gives it a folder, there, else beside the configuration."""
     folder = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    return (Path(folder) if folder else source.parent) / state.file
+    return (Path(folder) if folder else source.parent) / name
 
 
 def _checked(path: Path) -> Setup:
@@ -192,8 +218,14 @@ def _checked(path: Path) -> Setup:
             expected="a bus that other processes can reach, such as socketcan (virtual is for demo and cosim)",
         )
     if config.state is not None:
-        place = _place(config.state, path)
-        if place.is_dir() or not os.access(place.parent, os.W_OK | os.X_OK):
-            expected = f"a file in a folder that exists and can be written ({place})"
-            raise ConfigError(path, key="state.file", value=config.state.file, expected=expected)
+        _require_place(path, "state.file", config.state.file, "a file")
+    if config.recorder is not None:
+        _require_place(path, "recorder.folder", config.recorder.folder, "a folder")
     return setup
+
+
+def _require_place(source: Path, key: str, name: str, what: str) -> None:
+    place = _place(name, source)
+    if not os.access(place.parent, os.W_OK | os.X_OK):
+        expected = f"{what} in a folder that exists and can be written ({place})"
+        raise ConfigError(source, key=key, value=name, expected=expected)

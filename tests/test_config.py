@@ -139,6 +139,7 @@ def test_check_tells_what_every_role_is_read_from():
         "temperature",
         "contactor",
         f"state stored in {EXAMPLE.parent / 'bms-ukf.state'} every 10 s",
+        f"on a fault the last 120 s to {EXAMPLE.parent / 'flights'}",
     ]
     assert "BatteryStatus.Current (0x200, -1638.35..1638.4 A, 0.05 a bit, positive on the bus is charge" in lines[3]
     assert "plausible -800 to 800, no CRC, no counter" in lines[3]

@@ -66,6 +66,8 @@ MAY_IMPORT = {
     "seldom": set(),
     "publication": {"records"},
     "pace": set(),
+    "framelog": {"errors"},
+    "flight": {"estimator", "records"},
     "slots": set(),
     "state": {"estimator", "records", "seldom", "slots"},
     "notify": set(),
@@ -79,7 +81,7 @@ KNOWN_TO = {
     "fmpy": {"fmu", "plant"},
     "cantools": CODEC | {"candidates", "skeleton"},
     "fastcrc": {"e2e"},
-    "can": {"bus", "cosim", "links", "socketcan"},
+    "can": {"bus", "cosim", "framelog", "links", "replay", "socketcan"},
     "click": {"cli"},
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.

@@ -16,12 +16,13 @@ import can
 import pytest
 from model_cell import ModelCell
 
-from bms_ukf import ConfigError, Sample, Status, service
+from bms_ukf import ConfigError, Fault, Sample, Status, service
 from bms_ukf.bus import open_bus
 from bms_ukf.config import Bus
 from bms_ukf.dbc import own_matrix
 from bms_ukf.node import SampleEncoder
 from bms_ukf.records import Source, Stored
+from bms_ukf.replay import flight
 from bms_ukf.service import Service
 
 UNIT = Path(__file__).resolve().parents[1] / "can" / "bms-ukf.service"
@@ -161,6 +162,24 @@ def test_under_systemd_the_state_is_in_the_folder_it_gives(started, vehicle, tmp
     running.close()
     assert (tmp_path / "var" / "state").exists()
     assert not (tmp_path / "state").exists()
+
+
+def test_the_recorder_writes_what_led_to_a_fault_and_it_can_be_run_again(started, vehicle, tmp_path):
+    running = started(CONFIG + '[recorder]\nfolder = "flights"\n')
+    vehicle.drive(running, 3)
+    data = running.daemon.witness.file(Fault.BUS)
+    (tmp_path / "flights" / "x.flight").write_bytes(data)
+    assert flight.rerun(tmp_path / "flights" / "x.flight")[1]["identical"] is True
+
+
+def test_every_frame_is_written_where_it_is_asked_for(tmp_path, vehicle):
+    (tmp_path / "bms.toml").write_text(CONFIG)
+    running = Service(tmp_path / "bms.toml", tmp_path / "frames.log")
+    running.start()
+    vehicle.drive(running, 3)
+    running.close()
+    log = (tmp_path / "frames.log").read_text()
+    assert [log.count(f" {number}#") for number in ("120", "121", "220")] == [3, 3, 3]
 
 
 # --- configured anew ----------------------------------------------------------------------------------------------
