@@ -40,8 +40,7 @@ def demo(report: Path) -> None:
     """Drive a physics-based cell over a virtual CAN bus and watch its SoC come back."""
     from bms_ukf import simulate
 
-    summary = simulate.simulate("demo", report=report, judged=True)
-    sys.exit(0 if simulate.passed(summary) else 1)
+    sys.exit(0 if simulate.passed(simulate.simulate("demo", report=report, judged=True)) else 1)
 
 
 @cli.command()
@@ -56,6 +55,18 @@ def run(config: Path, check: bool, log_frames: Path | None) -> None:
         click.echo(service.explain(config))
     else:
         service.serve(config, log_frames)
+
+
+@cli.command("monitor")
+@click.argument("config", type=PATH, required=False)
+@click.option("--interface", help="Of python-can.  [default: as in CONFIG]")
+@click.option("--channel", help="Of the interface.  [default: as in CONFIG]")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), help="End after so long.  [default: never]")
+def monitor_(config: Path | None, interface: str | None, channel: str | None, seconds: float | None) -> None:
+    """Show what the daemon publishes, live; with a CONFIG also what the vehicle sends."""
+    from bms_ukf.monitor import command
+
+    command.monitor(config, interface, channel, seconds)
 
 
 @cli.command()
@@ -253,10 +264,7 @@ def import_(
     text = ecm_tables.import_cell(
         sources, name=name or out.stem, chemistry=chemistry, capacity_Ah=capacity, voltage_limits_V=voltage_limits
     )
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(out, expected=f"a file that can be written ({error.strerror})") from None
+    _write(out, text)
     click.echo(f"{out}: its [noise] is assumed, not measured", err=True)
 
 
