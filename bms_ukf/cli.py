@@ -107,8 +107,8 @@ def cosim(
     summary = simulate.simulate(scenario, out=out, report=report)
     if json_path is not None:
         _write_json(json_path, summary)
-    if summary["plant_failure"]:
-        raise PlantError(summary["plant_failure"])
+    if failure := summary["plant_failure"]:
+        raise PlantError(failure)
 
 
 @cli.command()
@@ -191,11 +191,10 @@ def replay_(
     """
     from bms_ukf.replay import command
 
-    places = command.Places(out, json_path, report)
-    mistakes = command.replay(inputs, cell, config, places, diff, jobs, options)
+    mistakes = command.replay(inputs, cell, config, command.Places(out, json_path, report), diff, jobs, options)
+    for mistake in mistakes:
+        click.echo(f"bms-ukf: {mistake}", err=True)
     if mistakes:
-        for mistake in mistakes:
-            click.echo(f"bms-ukf: {mistake}", err=True)
         sys.exit(2)
 
 

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_cell import ModelCell
 
-from bms_ukf import CellParams, Estimate, Estimator, Fault, Sample, Status, clock
+from bms_ukf import CellParams, Estimate, Estimator, Fault, Sample, Status, Tuning, clock
 from bms_ukf import daemon as daemon_module
 from bms_ukf.alignment import Alignment
 from bms_ukf.bus import SafeBus, open_bus
@@ -86,7 +86,7 @@ class Rig:
         self.clock = LockstepClock()
         self.vehicle = open_bus(settings, "vehicle")
         self.bus = SafeBus(lambda: open_bus(settings, "daemon"))
-        self.estimator = Estimator(cell, cells)
+        self.estimator = Estimator(cell, cells, options.pop("tuning", None))
         self.decoder = Decoder(cells=cells)
         options = {"clock": self.clock, "pace": Pace(SILENCE_S)} | options
         self.daemon = Daemon(self.bus, self.estimator, Intake(self.decoder), **options)
@@ -655,7 +655,7 @@ class Monotonic:
 @settings(max_examples=20)
 def test_charge_is_counted_over_the_time_between_frames_and_not_per_frame(cell, gaps_ms):
     """Frames as they come, at any intervals below current_timeout_s: no polling period is assumed."""
-    with rig_of(cell) as rig:
+    with rig_of(cell, tuning=Tuning(current_bias=False)) as rig:
         rig.feed(Sample(0, 0.0, 3.8, 25.0))
         start, t_ns = rig.daemon.estimate.soc, 0
         for gap_ms in gaps_ms:
