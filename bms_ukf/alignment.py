@@ -31,7 +31,7 @@ class Alignment:
         if self.behind_ns == 0:
             return (sample,)
         for lag_ns, part, values in (
-            (self._current_ns, Sample(0, current_A=sample.current_A), sample.current_A),
+            (self._current_ns, Sample(0, sample.current_A, open_circuit=sample.open_circuit), sample.current_A),
             (
                 self._temperature_ns,
                 Sample(0, temperature_degC=copied(sample.temperature_degC)),

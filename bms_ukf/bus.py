@@ -17,6 +17,7 @@ from can.typechecking import CanFilter
 
 from bms_ukf.config import Bus
 from bms_ukf.errors import ConfigError
+from bms_ukf.framelog import FrameLog
 from bms_ukf.frames import Frame
 from bms_ukf.seldom import Seldom
 from bms_ukf.socketcan import SocketCan
@@ -96,9 +97,9 @@ class BusCounters:
 class SafeBus:
     """`recv` and `send` that never raise. A failing interface is closed and opened again, with growing pauses."""
 
-    def __init__(self, opener: Callable[[], can.BusABC]) -> None:
+    def __init__(self, opener: Callable[[], can.BusABC], frame_log: FrameLog | None = None) -> None:
         """`opener` makes the bus; its first failure is the caller's (ConfigError), later ones are counted."""
-        self._opener = opener
+        self._opener, self._frame_log = opener, frame_log
         self._bus: can.BusABC | None = opener()
         self._attempts = 0
         self._retry_at = 0.0
@@ -122,6 +123,8 @@ class SafeBus:
             self.counters.bus_off += 1
             log.warning("bus: the controller is bus-off; ip link set … type can restart-ms 100 has it try again")
         self.counters.dropped = self._dropped + getattr(bus, "dropped", 0)
+        if self._frame_log is not None and message is not None:
+            self._frame_log.received(message)
         return message
 
     @property
@@ -149,6 +152,8 @@ class SafeBus:
             if _errno(error) not in _QUEUE_FULL:
                 self._fail(error)
             return False
+        if self._frame_log is not None:
+            self._frame_log.sent(message)
         return True
 
     def close(self) -> None:

@@ -40,21 +40,33 @@ def demo(report: Path) -> None:
     """Drive a physics-based cell over a virtual CAN bus and watch its SoC come back."""
     from bms_ukf import simulate
 
-    summary = simulate.simulate("demo", report=report, judged=True)
-    sys.exit(0 if simulate.passed(summary) else 1)
+    sys.exit(0 if simulate.passed(simulate.simulate("demo", report=report, judged=True)) else 1)
 
 
 @cli.command()
 @click.argument("config", type=PATH)
 @click.option("--check", is_flag=True, help="Explain the configuration and exit.")
-def run(config: Path, check: bool) -> None:
+@click.option("--log-frames", type=PATH, callback=_writable, help="Write all frames here: .log, .asc, .blf, .trc, .mf4")
+def run(config: Path, check: bool, log_frames: Path | None) -> None:
     """Estimate SoC on a CAN interface, as a daemon."""
     from bms_ukf import service
 
     if check:
         click.echo(service.explain(config))
     else:
-        service.serve(config)
+        service.serve(config, log_frames)
+
+
+@cli.command("monitor")
+@click.argument("config", type=PATH, required=False)
+@click.option("--interface", help="Of python-can.  [default: as in CONFIG]")
+@click.option("--channel", help="Of the interface.  [default: as in CONFIG]")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), help="End after so long.  [default: never]")
+def monitor_(config: Path | None, interface: str | None, channel: str | None, seconds: float | None) -> None:
+    """Show what the daemon publishes, live; with a CONFIG also what the vehicle sends."""
+    from bms_ukf.monitor import command
+
+    command.monitor(config, interface, channel, seconds)
 
 
 @cli.command()
@@ -95,8 +107,8 @@ def cosim(
     summary = simulate.simulate(scenario, out=out, report=report)
     if json_path is not None:
         _write_json(json_path, summary)
-    if summary["plant_failure"]:
-        raise PlantError(summary["plant_failure"])
+    if failure := summary["plant_failure"]:
+        raise PlantError(failure)
 
 
 @cli.command()
@@ -144,9 +156,9 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 
 @cli.command("replay")
 @click.argument("inputs", type=PATH, nargs=-1, required=True)
-@click.option("--cell", required=True, help="A cell file, or the name of a shipped one.")
-@click.option("--config", type=PATH, help="Take the [estimator] section of a CONFIG.toml.")
-@click.option("--current-positive", type=click.Choice(["charge", "discharge"]), required=True, help="Sign in the file.")
+@click.option("--cell", help="A cell file, or the name of a shipped one.  [CAN logs: default as in CONFIG]")
+@click.option("--config", type=PATH, help="CONFIG.toml: how CAN logs are read; for others its [estimator] section.")
+@click.option("--current-positive", type=click.Choice(["charge", "discharge"]), help="Sign; required but for CAN logs.")
 @click.option("--initial-soc", type=click.FloatRange(0, 1), help="Default: from the first voltage.")
 @click.option("--initial-sigma", type=click.FloatRange(0, 0.5, min_open=True), help="Its standard deviation.")
 @click.option("--current-offset", "current_offset_A", default=0.0, help="Add to the current, A; positive = discharge.")
@@ -164,7 +176,7 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Recordings run at a time.")
 def replay_(
     inputs: tuple[Path, ...],
-    cell: str,
+    cell: str | None,
     config: Path | None,
     out: Path | None,
     json_path: Path | None,
@@ -173,17 +185,16 @@ def replay_(
     jobs: int,
     **options: Any,
 ) -> None:
-    """Re-run the estimator over recordings: files, or folders of them.
+    """Re-run the estimator over recordings, CSV, Parquet or CAN logs: files, or folders of them.
 
     With several, --out, --json and --report name folders.
     """
     from bms_ukf.replay import command
 
-    places = command.Places(out, json_path, report)
-    mistakes = command.replay(inputs, cell, config, places, diff, jobs, options)
+    mistakes = command.replay(inputs, cell, config, command.Places(out, json_path, report), diff, jobs, options)
+    for mistake in mistakes:
+        click.echo(f"bms-ukf: {mistake}", err=True)
     if mistakes:
-        for mistake in mistakes:
-            click.echo(f"bms-ukf: {mistake}", err=True)
         sys.exit(2)
 
 
@@ -252,10 +263,7 @@ def import_(
     text = ecm_tables.import_cell(
         sources, name=name or out.stem, chemistry=chemistry, capacity_Ah=capacity, voltage_limits_V=voltage_limits
     )
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(out, expected=f"a file that can be written ({error.strerror})") from None
+    _write(out, text)
     click.echo(f"{out}: its [noise] is assumed, not measured", err=True)
 
 

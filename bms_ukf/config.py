@@ -15,10 +15,11 @@ from bms_ukf.decoder import Decoder
 from bms_ukf.e2e_settings import E2e
 from bms_ukf.errors import ConfigError
 from bms_ukf.intake import Intake
+from bms_ukf.open_circuit import OpenCircuit
+from bms_ukf.pace import Pace
 from bms_ukf.scaling import scaled
 from bms_ukf.signals import Bound, SignalMap
 from bms_ukf.tuning import Tuning
-from bms_ukf.zero_current import ZeroCurrent
 
 Text = Annotated[str, Field(min_length=1)]
 Scale = Annotated[float, Field(ge=1e-3, le=1e3)]
@@ -72,6 +73,22 @@ class Signals(toml.Section):
         return self
 
 
+class State(toml.Section):
+    """[state]: where what is known of the battery outlives the process."""
+
+    file: Text  # in systemd's state folder of the service, else relative to the configuration file
+    period_s: Annotated[float, Field(ge=0.1, le=3600)] = 10.0
+    max_age_s: Annotated[float, Field(gt=0)] = 2_592_000.0  # an older one is not used
+
+
+class Recorder(toml.Section):
+    """[recorder]: the last minutes before a fault, in a file that can be replayed."""
+
+    folder: Text  # as for the state
+    span_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
+    keep: Annotated[int, Field(ge=1, le=1000)] = 10  # files
+
+
 class Config(toml.Document):
     """A whole CONFIG.toml."""
 
@@ -85,15 +102,18 @@ class Config(toml.Document):
     soc_slew_per_s: Annotated[float, Field(gt=0, le=1)] = 0.001  # how fast SocSlewed may be corrected
     bus: Bus
     signals: Signals | None = None
+    state: State | None = None
+    recorder: Recorder | None = None
     estimator: Tuning = Field(default_factory=Tuning)
 
 
 class Setup:
     """A configuration with everything it names loaded and checked; ConfigError for the first thing that is wrong."""
 
-    def __init__(self, config: Config, source: Path) -> None:
+    def __init__(self, config: Config, source: Path, cell: CellParams | None = None) -> None:
+        """`cell`: in place of the one the configuration names, before it is scaled."""
         self.config, self.source = config, source
-        self.cell = self._cell()
+        self.cell = self._cell(cell)
         self.warnings: list[str] = []
         self.decoder = self._decoder()
         if config.signals is not None:
@@ -101,25 +121,32 @@ class Setup:
                 _check_scale(bound, self.cell, source)
                 self.warnings += [bound.warning] if bound.warning else []
 
+    @property
+    def pace(self) -> Pace:
+        """When sets of frames are published."""
+        config = self.config
+        return Pace(config.silence_s, config.period_s if config.transmit == "periodic" else None, config.soc_slew_per_s)
+
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """The configuration in a file."""
+    def load(cls, path: str | Path, cell: CellParams | None = None) -> Self:
+        """The configuration in a file; `cell` as of the class itself."""
         source = Path(path)
-        return cls(toml.load(source, Config), source)
+        return cls(toml.load(source, Config), source, cell)
 
     def intake(self) -> Intake:
         """The way in for frames of that bus."""
         signals, tuning = self.config.signals, self.config.estimator
         if signals is None:
             return Intake(self.decoder)
-        sigma_A = tuning.current_offset_sigma_A or self.cell.cell.capacity_Ah / 100
-        zero = ZeroCurrent(5 * sigma_A) if signals.contactor is not None else None
+        sigma_A = tuning.current_offset_sigma_A or self.cell.cell.capacity_Ah / 50
+        circuit = OpenCircuit(3 * sigma_A) if signals.contactor is not None else None
         lag = signals.lag_s
-        return Intake(self.decoder, zero, Alignment(lag.current, lag.voltage, lag.temperature))
+        return Intake(self.decoder, circuit, Alignment(lag.current, lag.voltage, lag.temperature))
 
-    def _cell(self) -> CellParams:
+    def _cell(self, cell: CellParams | None) -> CellParams:
         config = self.config
-        cell = CellParams.load(resources.find(config.cell, "cells", ".toml", relative_to=self.source.parent))
+        if cell is None:
+            cell = CellParams.load(resources.find(config.cell, "cells", ".toml", relative_to=self.source.parent))
         if config.capacity_scale == 1.0 and config.resistance_scale is None:
             return cell
         try:

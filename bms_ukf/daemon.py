@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -21,12 +21,14 @@ from bms_ukf.commissioning import Commissioning
 from bms_ukf.encoder import Encoder
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
+from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
-from bms_ukf.records import Fault, Sample
+from bms_ukf.records import Detail, Estimate, Fault, Sample, Source, Stored
 from bms_ukf.scan import Scan
 
 FAULT_HOLD_NS = 1_000_000_000
 HEALTH_NS = 1_000_000_000
+CHORES_NS = 100_000_000
 IMPLAUSIBLE = Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE
 POLL_S = 0.1  # how long a request to stop may wait
 
@@ -44,6 +46,16 @@ class Clock(Protocol):
     def advance(self) -> int: ...
 
 
+class Witness(Protocol):
+    """Who is told of all that happens, in the daemon's own loop. What it is given is overwritten later."""
+
+    def stepped(self, sample: Sample, estimate: Estimate) -> None: ...
+
+    def coasted(self, t_ns: int, estimate: Estimate) -> None: ...
+
+    def published(self, t_ns: int, estimate: Estimate, detail: Detail) -> None: ...
+
+
 class Daemon:
     """One estimator on one bus. `poll` handles one frame, `run` does so until told to stop."""
 
@@ -54,36 +66,52 @@ class Daemon:
         intake: Intake,
         *,
         clock: Clock | None = None,
-        silence_s: float = 2.0,
-        period_s: float | None = None,
-        soc_slew_per_s: float = 0.001,
+        pace: Pace = Pace(),  # noqa: B008 - a tuple
         fd: bool = False,
     ) -> None:
-        """`clock` times the frames (None: a `StampClock`); `silence_s` after the last answer a prediction is sent.
-
-        `period_s` None: an answer after every scan of the voltages. `fd`: CAN FD frames are read.
-        """
-        self.bus, self.estimator, self.intake = bus, estimator, intake
+        """`clock` times the frames (None: a `StampClock`). `fd`: CAN FD frames are read."""
+        self.estimator = estimator
         self.encoder = Encoder(estimator.cells)
-        self.publication = Publication(estimator.cell.cell.capacity_Ah, soc_slew_per_s)
+        self.publication = Publication(estimator.cell.cell.capacity_Ah)
         self.commissioning = Commissioning(estimator.cell)
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
+        self.witness: Witness | None = None
         self._clock: Clock = clock or StampClock()
         self._scan = Scan(estimator.cells)
-        self._periodic, self._fd = period_s is not None, fd
-        due_after_s = silence_s if period_s is None else period_s
-        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
         self._published_ns = self._health_ns = 0
         self._stepped = False  # since the last set
-        self._refused = _Recent(Fault.E2E)
-        self._failed = _Recent(Fault.BUS)
+        self.reconfigure(bus, intake, pace=pace, fd=fd)
 
-    def run(self, stop: threading.Event) -> None:
-        """Serve the bus until `stop` is set."""
+    def reconfigure(self, bus: SafeBus, intake: Intake, *, pace: Pace, fd: bool) -> None:
+        """Go on with another bus, way in and pace. What the estimator knows, the time and the counters stay."""
+        self.bus, self.intake, self._fd = bus, intake, fd
+        self.publication.slew_per_s = pace.soc_slew_per_s
+        self._periodic = pace.period_s is not None
+        due_after_s = pace.silence_s if pace.period_s is None else pace.period_s
+        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
+        self._refused = _Recent(Fault.E2E, intake.counters.refused)
+        self._failed = _Recent(Fault.BUS, bus.failures + intake.counters.lost)
+
+    def now_ns(self) -> int:
+        """The time the next frame would be given."""
+        return self._clock.advance()
+
+    def resumed(self, stored: Stored) -> None:
+        """Tell on the bus what became of a belief that was stored, now that the estimator has it or not."""
+        self.publication.detail.stored = stored
+        if stored is Stored.USED:
+            self.publication.detail.source = Source.STORED
+
+    def run(self, stop: threading.Event, chores: Callable[[], None] | None = None) -> None:
+        """Serve the bus until `stop` is set. `chores` are done in between, every CHORES_NS or so."""
+        due_ns = 0
         while not stop.is_set():
             if not self.poll(self._patience_s()):
                 self._publish_if_due(self._clock.advance())
+            if chores is not None and self._clock.now() >= due_ns:
+                chores()
+                due_ns = self._clock.now() + CHORES_NS
 
     def poll(self, timeout_s: float) -> bool:
         """Wait for one frame and handle it; False if none came. A scan that is complete is answered by publishing."""
@@ -103,10 +131,12 @@ class Daemon:
     def _handle(self, samples: Sequence[Sample]) -> None:
         for sample in samples:
             if _is_empty(sample):  # its sender lives, and knows nothing: no reason to look alive
-                self.estimator.coast(sample.t_ns, out=self.estimate)
+                self._coast(sample.t_ns)
                 self.publication.follow(sample, self.estimate)
                 continue
             self.estimator.step(sample, out=self.estimate)
+            if self.witness is not None:
+                self.witness.stepped(sample, self.estimate)
             self.publication.follow(sample, self.estimate)
             if not self.estimate.faults & IMPLAUSIBLE:
                 self.commissioning.see(sample)
@@ -114,20 +144,25 @@ class Daemon:
             if self._scan.ends_with(sample) and not self._periodic:
                 self._publish(sample.t_ns + self.intake.behind_ns)
 
+    def _coast(self, t_ns: int) -> None:
+        self.estimator.coast(t_ns, out=self.estimate)
+        if self.witness is not None:
+            self.witness.coasted(t_ns, self.estimate)
+
     def _publish_if_due(self, t_ns: int) -> None:
         """Publish every period, or a prediction after too long a silence: it must not look like a steady SoC."""
         if self._due_after_ns is None or t_ns - self._published_ns < self._due_after_ns:
             return
         self._handle(self.intake.due(t_ns))
         if not (self._periodic and self._stepped):
-            self.estimator.coast(t_ns - self.intake.behind_ns, out=self.estimate)
+            self._coast(t_ns - self.intake.behind_ns)
         self._publish(t_ns)
 
     def _publish(self, t_ns: int) -> None:
         received, counters = self.intake.counters, self.bus.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self.bus.failures + received.lost)
         detail = self.publication.complete(self.estimate, t_ns, shown | self.commissioning.fault)
-        detail.current_bias_A = self._bias_A()
+        detail.current_bias_A = float(np.mean(self.estimate.current_bias_A))
         accepted = self.estimator.accepted
         if t_ns - self._health_ns >= HEALTH_NS:
             counts = (counters.dropped, received.refused, counters.send_failed, self._clock.steps, counters.reopened)
@@ -136,16 +171,12 @@ class Daemon:
         for frame in self.encoder.encode(self.estimate, detail, accepted):
             self.bus.send(frame, t_ns)
         self.published += 1
+        if self.witness is not None:
+            self.witness.published(t_ns, self.estimate, detail)
         self._stepped = False
         # A period that is late once is made up for, one that is late by more is not.
         on_time = self._periodic and self._due_after_ns and t_ns - self._published_ns < 2 * self._due_after_ns
         self._published_ns = self._published_ns + self._due_after_ns if on_time and self._due_after_ns else t_ns
-
-    def _bias_A(self) -> float:
-        """What the current sensor shows too much, as far as it is known."""
-        estimated, zero = float(np.mean(self.estimate.current_bias_A)), self.intake.zero
-        learnt = math.nan if zero is None or not zero.known else zero.offset_A
-        return learnt if math.isnan(estimated) else estimated if math.isnan(learnt) else estimated + learnt
 
     def _patience_s(self) -> float:
         if not self._periodic or self._due_after_ns is None:
@@ -157,8 +188,8 @@ class Daemon:
 class _Recent:
     """A fault that is shown for FAULT_HOLD_NS after its counter moved."""
 
-    def __init__(self, fault: Fault) -> None:
-        self._fault, self._count, self._until_ns = fault, 0, -1
+    def __init__(self, fault: Fault, count: int) -> None:
+        self._fault, self._count, self._until_ns = fault, count, -1
 
     def at(self, t_ns: int, count: int) -> Fault:
         if count != self._count:

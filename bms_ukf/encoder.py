@@ -46,6 +46,7 @@ class Encoder:
 
         self._state_box = Outbox(matrix.message("BmsState"))
         self._faults_shift = field_of("BmsState.FaultCurrentMissing").shift  # the others follow, as in records.Fault
+        self._stored_shift = field_of("BmsState.StoredState").shift
         self._soc_min = field_of("BmsState.SocMin").insert(0.01)
         self._soc_max = field_of("BmsState.SocMax").insert(0.01)
 
@@ -66,7 +67,7 @@ class Encoder:
         """A set: SocDetail, BmsState, SocQuality and SocEstimate; for a pack a page of CellSoc first."""
         frames = [
             self.detail(estimate, detail, accepted),
-            self.state(estimate, accepted),
+            self.state(estimate, detail, accepted),
             self.quality(estimate, accepted),
             self.soc(estimate, accepted),
         ]
@@ -95,11 +96,12 @@ class Encoder:
         word |= self._innovation(_of_cell(worst, estimate.innovation_V)) | self._nis(_of_cell(worst, nis))
         return self._quality_box.frame(word, accepted)
 
-    def state(self, estimate: Estimate, accepted: int) -> Frame:
-        """BmsState: fault bits, lowest and highest SoC of the cells."""
+    def state(self, estimate: Estimate, detail: Detail, accepted: int) -> Frame:
+        """BmsState: fault bits, what became of a stored belief, lowest and highest SoC of the cells."""
         soc = estimate.soc if estimate.status in _AVAILABLE else NAN
         lowest, highest = (soc, soc) if isinstance(soc, float) else (float(np.min(soc)), float(np.max(soc)))
-        word = int(estimate.faults) << self._faults_shift | self._soc_min(lowest) | self._soc_max(highest)
+        word = int(estimate.faults) << self._faults_shift | detail.stored << self._stored_shift
+        word |= self._soc_min(lowest) | self._soc_max(highest)
         return self._state_box.frame(word, accepted)
 
     def detail(self, estimate: Estimate, detail: Detail, accepted: int) -> Frame:

@@ -1,4 +1,4 @@
-"""From a received frame to samples the estimator may take: checked, decoded, free of offset, in the order of time."""
+"""From a received frame to samples the estimator may take: checked, decoded, in the order of time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from collections.abc import Sequence
 from bms_ukf.alignment import Alignment
 from bms_ukf.decoder import Decoder
 from bms_ukf.frames import Counters
+from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.records import Sample
-from bms_ukf.zero_current import ZeroCurrent
 
 
 class Intake:
     """The way in, the same for the bus and for a log of it."""
 
-    def __init__(self, decoder: Decoder, zero: ZeroCurrent | None = None, alignment: Alignment | None = None) -> None:
+    def __init__(
+        self, decoder: Decoder, circuit: OpenCircuit | None = None, alignment: Alignment | None = None
+    ) -> None:
         """None: there is no contactor signal; every signal arrives as late as the others."""
-        self.decoder, self.zero = decoder, zero
+        self.decoder, self._circuit = decoder, circuit
         self._alignment = alignment or Alignment()
 
     @property
@@ -36,9 +38,9 @@ class Intake:
         sample = self.decoder.decode(arbitration_id, is_extended_id, data, t_ns, classic=classic)
         if sample is None:
             return ()
-        if self.zero is not None:
+        if self._circuit is not None:
             contactor = self.decoder.contactor
-            sample.current_A = self.zero.corrected(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
+            sample.open_circuit = self._circuit.is_offset(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
         return self._alignment.put(sample)
 
     def due(self, t_ns: int) -> Sequence[Sample]:

@@ -17,6 +17,7 @@ from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
 from bms_ukf.node import EstimateDecoder, SampleEncoder
+from bms_ukf.pace import Pace
 from bms_ukf.records import Estimate, Sample, Status
 
 ANSWER_TIMEOUT_S = 1.0  # of wall time, on a real interface
@@ -67,7 +68,7 @@ class BusLink:
             estimator,
             Intake(Decoder(cells=estimator.cells)),
             clock=self._clock,
-            silence_s=math.inf,
+            pace=Pace(silence_s=math.inf),
         )
         self._encoder = SampleEncoder(estimator.cells)
         self._decoder = EstimateDecoder()

@@ -32,7 +32,8 @@ class Publication:
     def __init__(self, capacity_Ah: float, slew_per_s: float = 0.001) -> None:
         """`slew_per_s` is how fast `soc_slewed` may be corrected, beyond the charge that has flowed."""
         self.detail = Detail()
-        self._capacity_As, self._slew_per_s = capacity_Ah * 3600.0, slew_per_s
+        self.slew_per_s = slew_per_s
+        self._capacity_As = capacity_Ah * 3600.0
         self._held: dict[str, PerCell] = {}
         self._passed = Fault.NONE
         self._load_ns: int | None = None  # when there last was one, or might have been
@@ -93,7 +94,7 @@ class Publication:
         soc = float(np.mean(estimate.soc)) if available else NAN
         shown = self.detail.soc_slewed
         if not math.isnan(shown) and self._published_ns is not None:
-            step = self._moved + self._slew_per_s * max(t_ns - self._published_ns, 0) * 1e-9
+            step = self._moved + self.slew_per_s * max(t_ns - self._published_ns, 0) * 1e-9
             soc = min(max(soc, shown - step), shown + step) if available else NAN
         self.detail.soc_slewed = soc
         self._published_ns, self._moved = t_ns, 0.0

@@ -44,6 +44,22 @@ class Source(IntEnum):
         return self.name.lower()
 
 
+class Stored(IntEnum):
+    """What became, at the start, of the belief stored before it."""
+
+    NONE = 0  # there was none
+    USED = 1
+    FOREIGN = 2  # refused: of another cell file, tuning, number of cells or version
+    CORRUPT = 3  # refused: damaged, or something else
+    FUTURE = 4  # refused: younger than the present, so the wall clock was set back
+    STALE = 5  # refused: too old
+    UNREADABLE = 6
+
+    @property
+    def word(self) -> str:
+        return self.name.lower()
+
+
 class Fault(IntFlag):
     """Why a status is not `OK`. The same bits in the kernel's return value, the DBC, the FMU and the C header."""
 
@@ -85,6 +101,7 @@ class Detail:
     soc_slewed: float = NAN  # 0..1, follows the SoC without steps; NaN where that is not available
     source: Source = Source.NONE
     current_bias_A: float = NAN  # what the current sensor shows too much, positive = discharge; NaN: not known
+    stored: Stored = Stored.NONE
 
 
 @dataclass(slots=True)

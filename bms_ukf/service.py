@@ -1,11 +1,17 @@
-"""`bms-ukf run`: a configuration made into a running daemon, until SIGTERM (exit 0) or SIGINT (exit 130)."""
+"""`bms-ukf run`: a configuration made into a running daemon, until SIGTERM (exit 0) or SIGINT (exit 130).
+
+SIGHUP reads the configuration again. It is refused, and the daemon goes on as it was, if it is wrong, or if the
+estimator would have to be another: what it knows of the battery would be lost.
+"""
 
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from types import FrameType
 
@@ -15,14 +21,23 @@ from bms_ukf.config import Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
+from bms_ukf.flight import Recorder
+from bms_ukf.framelog import FrameLog
+from bms_ukf.notify import Notifier
+from bms_ukf.records import Status, Stored
+from bms_ukf.state import Keeper, resume
 
 log = logging.getLogger(__name__)
 
+STATUS_S = 5.0
 
-def serve(path: Path) -> None:
-    """Run the daemon of a CONFIG file. ConfigError if it cannot start; SIGINT raises KeyboardInterrupt at the end."""
+
+def serve(path: Path, log_frames: Path | None = None) -> None:
+    """Run the daemon of a CONFIG file. ConfigError if it cannot start; SIGINT raises KeyboardInterrupt at the end.
+
+    `log_frames`: every frame received and sent is written to this file.
+    """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    setup = _checked(path)
     stop = threading.Event()
     received: list[int] = []
 
@@ -30,29 +45,131 @@ def serve(path: Path) -> None:
         received.append(number)
         stop.set()
 
-    bus = SafeBus(lambda: open_bus(setup.config.bus, str(path), setup.decoder.ids()))
-    estimator = Estimator(setup.cell, setup.config.cells, setup.config.estimator)
-    config = setup.config
-    daemon = Daemon(
-        bus,
-        estimator,
-        setup.intake(),
-        silence_s=config.silence_s,
-        period_s=config.period_s if config.transmit == "periodic" else None,
-        soc_slew_per_s=config.soc_slew_per_s,
-        fd=config.bus.fd,
-    )
-    previous = {number: signal.signal(number, on_signal) for number in (signal.SIGTERM, signal.SIGINT)}
-    log.info("running: %s", "; ".join(_explanation(setup).splitlines()))
+    service = Service(path, log_frames)
+    signals = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+    previous = {number: signal.signal(number, on_signal) for number in signals}
     try:
-        daemon.run(stop)
+        service.start()
+        while True:
+            service.daemon.run(stop, service.chores)
+            stop.clear()
+            if {signal.SIGTERM, signal.SIGINT} & set(received):
+                break
+            service.reload()
     finally:
-        bus.close()
+        service.close()
         for number, handler in previous.items():
             signal.signal(number, handler)
-    log.info("stopped: %d answers; received %s; bus %s", daemon.published, setup.decoder.counters, bus.counters)
     if signal.SIGINT in received:
         raise KeyboardInterrupt
+
+
+class Service:
+    """The daemon of one CONFIG file, and what an operating system wants of it."""
+
+    def __init__(self, path: Path, log_frames: Path | None = None) -> None:
+        """Opens the bus and compiles. ConfigError if that is not possible."""
+        self._path, self._setup = path, _checked(path)
+        self._log = None if log_frames is None else FrameLog(log_frames)
+        self._notify = Notifier()
+        config = self._setup.config
+        self._bus = self._opened(self._setup)
+        self._estimator = Estimator(self._setup.cell, config.cells, config.estimator)
+        self.daemon = Daemon(self._bus, self._estimator, self._setup.intake(), pace=self._setup.pace, fd=config.bus.fd)
+        self._keeper = self._keeper_of(self._setup)
+        self.daemon.witness = self._recorder_of(self._setup)
+        self._store_at_s = self._status_at_s = 0.0
+
+    def start(self) -> None:
+        """Take up what was stored, and say that the daemon runs."""
+        state = self._setup.config.state
+        if state is not None:
+            place = _place(state.file, self._path)
+            stored, line = resume(self._estimator, place, time.time_ns(), self.daemon.now_ns(), state.max_age_s)
+            log.log(logging.INFO if stored <= Stored.USED else logging.WARNING, "state: %s: %s", stored.word, line)
+            self.daemon.resumed(stored)
+        log.info("running: %s", "; ".join(_explanation(self._setup).splitlines()))
+        self._notify.ready(self._status())
+
+    def chores(self) -> None:
+        """What is to be done now and then; takes microseconds."""
+        now_s = time.monotonic()
+        self._notify.alive()
+        state = self._setup.config.state
+        if state is not None and now_s >= self._store_at_s:
+            self._store()
+            self._store_at_s = now_s + state.period_s
+        if now_s >= self._status_at_s:
+            self._notify.status(self._status())
+            self._status_at_s = now_s + STATUS_S
+
+    def reload(self) -> None:
+        """Read the configuration again, and go on by it or, if that is not possible, by the one before."""
+        self._notify.reloading()
+        try:
+            self._adopt(_checked(self._path))
+            log.info("reloaded: %s", "; ".join(_explanation(self._setup).splitlines()))
+        except ConfigError as error:
+            log.error("not reloaded, and running as before: %s", error)  # noqa: TRY400 - one line, as everywhere
+        self._notify.ready(self._status())
+
+    def close(self) -> None:
+        """Store, and let go of the bus."""
+        self._notify.stopping()
+        self._store()
+        if self._keeper is not None and not self._keeper.close():
+            log.warning("state: %s: not stored in time", self._keeper.path)
+        self._bus.close()
+        if self._log is not None:
+            self._log.close()
+        counters = self._setup.decoder.counters
+        log.info("stopped: %d answers; received %s; bus %s", self.daemon.published, counters, self._bus.counters)
+
+    def _adopt(self, setup: Setup) -> None:
+        """ConfigError, with everything as it was, if that cannot be done."""
+        old, new = self._setup.config, setup.config
+        if (self._setup.cell, old.cells, old.estimator) != (setup.cell, new.cells, new.estimator):
+            expected = "the cell, the number of cells and the [estimator] section as they were: restart to change them"
+            raise ConfigError(self._path, expected=expected)
+        same_state = old.state == new.state
+        keeper = self._keeper if same_state else self._keeper_of(setup)
+        if old.bus != new.bus or sorted(self._setup.decoder.ids()) != sorted(setup.decoder.ids()):
+            bus = self._opened(setup)
+            self._bus.close()
+            self._bus = bus
+        if not same_state and self._keeper is not None:
+            self._keeper.close()
+        self._setup, self._keeper = setup, keeper
+        if old.recorder != new.recorder:
+            self.daemon.witness = self._recorder_of(setup)
+        self.daemon.reconfigure(self._bus, setup.intake(), pace=setup.pace, fd=new.bus.fd)
+
+    def _opened(self, setup: Setup) -> SafeBus:
+        return SafeBus(lambda: open_bus(setup.config.bus, str(self._path), setup.decoder.ids()), self._log)
+
+    def _keeper_of(self, setup: Setup) -> Keeper | None:
+        state = setup.config.state
+        return None if state is None else Keeper(_place(state.file, self._path))
+
+    def _recorder_of(self, setup: Setup) -> Recorder | None:
+        wanted = setup.config.recorder
+        if wanted is None:
+            return None
+        folder = _place(wanted.folder, self._path)
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise ConfigError(self._path, key="recorder.folder", value=str(folder), expected=str(error)) from None
+        return Recorder(self._estimator, folder, wanted.span_s, wanted.keep)
+
+    def _store(self) -> None:
+        """Nothing that is worth less than what was stored before takes its place."""
+        if self._keeper is not None and self.daemon.estimate.status in {Status.OK, Status.DEGRADED}:
+            self._keeper.keep(self._estimator.snapshot(), time.time_ns())
+
+    def _status(self) -> str:
+        estimate, counters = self.daemon.estimate, self._setup.decoder.counters
+        return f"{estimate.status.word}; {counters.accepted} frames accepted, {self.daemon.published} answers"
 
 
 def explain(path: Path) -> str:
@@ -74,17 +191,41 @@ def _explanation(setup: Setup) -> str:
         "signals of the project's own bms.dbc" if signals is None else f"signals of {', '.join(signals.dbc)}",
         *roles.explained(setup.decoder.bound, signals),
     ]
+    if config.state is not None:
+        lines.append(f"state stored in {_place(config.state.file, setup.source)} every {config.state.period_s:g} s")
+    if config.recorder is not None:
+        lines.append(
+            f"on a fault the last {config.recorder.span_s:g} s to {_place(config.recorder.folder, setup.source)}"
+        )
     lines += [f"warning: {warning}" for warning in setup.warnings]
     return "\n".join(lines)
 
 
+def _place(name: str, source: Path) -> Path:
+    """A file or folder of the service: where systemd gives it a folder, there, else beside the configuration."""
+    folder = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    return (Path(folder) if folder else source.parent) / name
+
+
 def _checked(path: Path) -> Setup:
     setup = Setup.load(path)
-    if setup.config.bus.interface == "virtual":
+    config = setup.config
+    if config.bus.interface == "virtual":
         raise ConfigError(
             path,
             key="bus.interface",
             value="virtual",
             expected="a bus that other processes can reach, such as socketcan (virtual is for demo and cosim)",
         )
+    if config.state is not None:
+        _require_place(path, "state.file", config.state.file, "a file")
+    if config.recorder is not None:
+        _require_place(path, "recorder.folder", config.recorder.folder, "a folder")
     return setup
+
+
+def _require_place(source: Path, key: str, name: str, what: str) -> None:
+    place = _place(name, source)
+    if not os.access(place.parent, os.W_OK | os.X_OK):
+        expected = f"{what} in a folder that exists and can be written ({place})"
+        raise ConfigError(source, key=key, value=name, expected=expected)

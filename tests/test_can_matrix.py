@@ -10,7 +10,7 @@ import pytest
 from cantools.database.can import Message
 
 from bms_ukf.dbc import protection
-from bms_ukf.records import Fault, Status
+from bms_ukf.records import Fault, Status, Stored
 
 CAN = Path(__file__).parents[1] / "can"
 DATABASE = cantools.database.load_file(CAN / "bms.dbc", strict=True)
@@ -36,6 +36,12 @@ def test_status_words_and_numbers_are_those_of_the_records() -> None:
     choices = SIGNALS["SocEstimate", "Status"].choices
     assert choices is not None
     assert {int(number): str(word) for number, word in choices.items()} == {s.value: s.word for s in Status}
+
+
+def test_words_and_numbers_of_a_stored_state_are_those_of_the_records() -> None:
+    choices = SIGNALS["BmsState", "StoredState"].choices
+    assert choices is not None
+    assert {int(number): str(word) for number, word in choices.items()} == {s.value: s.word for s in Stored}
 
 
 def test_fault_bits_follow_each_other_as_in_the_records() -> None:

@@ -12,7 +12,7 @@ from e2e.crc import calculate_crc8_h2f
 from pydantic import BaseModel
 
 from bms_ukf import ConfigError, Tuning, resources, service, toml
-from bms_ukf.config import Bus, Config, Lags, Setup, Signals
+from bms_ukf.config import Bus, Config, Lags, Setup, Signals, State
 from bms_ukf.e2e_settings import Crc, E2e
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "models" / "configs" / "example.toml"
@@ -59,7 +59,7 @@ def test_the_example_works_with_the_dbc_beside_it():
     assert (sample.t_ns, sample.current_A) == (7, -12.5), "positive is charge there, and discharge here"
 
 
-@pytest.mark.parametrize("model", [Config, Bus, Signals, Lags, E2e, Crc, Tuning])
+@pytest.mark.parametrize("model", [Config, Bus, Signals, Lags, E2e, Crc, State, Tuning])
 def test_the_example_shows_every_key(model: type[BaseModel]):
     text = EXAMPLE.read_text(encoding="utf-8")
     shown = set(re.findall(r"(?:^(?:# )?\[?|[.{,] ?)(\w+)(?=[.\]]| = )", text, flags=re.MULTILINE))
@@ -133,7 +133,14 @@ def test_a_cell_of_the_same_family_is_scaled(config):
 
 def test_check_tells_what_every_role_is_read_from():
     lines = service.explain(EXAMPLE).splitlines()
-    assert [line.strip().split(":")[0] for line in lines[3:]] == ["current", "voltage", "temperature", "contactor"]
+    assert [line.strip().split(":")[0] for line in lines[3:]] == [
+        "current",
+        "voltage",
+        "temperature",
+        "contactor",
+        f"state stored in {EXAMPLE.parent / 'bms-ukf.state'} every 10 s",
+        f"on a fault the last 120 s to {EXAMPLE.parent / 'flights'}",
+    ]
     assert "BatteryStatus.Current (0x200, -1638.35..1638.4 A, 0.05 a bit, positive on the bus is charge" in lines[3]
     assert "plausible -800 to 800, no CRC, no counter" in lines[3]
     assert "CRC or counter checked" in lines[4]
@@ -212,7 +219,7 @@ def test_a_mistake_is_one_line_naming_file_key_and_what_was_expected(config, tmp
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (MINIMAL.replace("lgm50_chen2020", "lgm49"), "lgm49: expected a file, or one of the shipped cells: "),
+        (MINIMAL.replace("lgm50_chen2020", "lgm51"), "lgm51: expected a file, or one of the shipped cells: "),
         (MINIMAL + SIGNALS.replace("vehicle.dbc", "no.dbc"), "no.dbc: expected a readable DBC file"),
         (MINIMAL + SIGNALS.replace("vehicle.dbc", "can.toml"), "can.toml: expected a readable DBC file"),
         ("format = \n", "can.toml: expected TOML"),

@@ -147,7 +147,7 @@ def test_each_message_counts_its_own_frames() -> None:
     for n in range(1, 40):
         decoder.decode(*encoder.soc(ESTIMATE, n), 0)
         if n % 5 == 0:
-            for frame in (encoder.quality(ESTIMATE, n), encoder.state(ESTIMATE, n)):
+            for frame in (encoder.quality(ESTIMATE, n), encoder.state(ESTIMATE, DETAIL, n)):
                 decoder.decode(*frame, 0)
     assert decoder.counters.lost == decoder.counters.refused == 0
 

@@ -82,7 +82,7 @@ def driven(setup: Setup, log: Path, without: str) -> tuple[Daemon, list[Estimate
     recording, monitor = Recording(log, without), EstimateDecoder()
     estimator = Estimator(setup.cell, tuning=setup.config.estimator)
     bus = SafeBus(lambda: recording)  # type: ignore[arg-type, return-value]
-    daemon = Daemon(bus, estimator, setup.intake(), clock=LogClock(), period_s=setup.config.period_s)
+    daemon = Daemon(bus, estimator, setup.intake(), clock=LogClock(), pace=setup.pace)
     while daemon.poll(0.0):
         pass
     told = [monitor.decode(m.arbitration_id, False, bytes(m.data), 0) for m in recording.sent]

@@ -161,7 +161,7 @@ def test_the_tuning_of_a_configuration_is_used(replay, tmp_path: Path) -> None:
         (["drive.csv", "--cell", "lgm50_chen2020", "--current-positive", "discharge"], "the voltage jumps by +"),
         (["drive.csv", *CELL, "--initial-sigma", "0.1"], "--initial-sigma is 0.1; expected --initial-soc beside it"),
         (["nothing.csv", *CELL], "nothing.csv: expected a readable CSV"),
-        (["car.log", *CELL], "car.log: expected a recording (.csv, .csv.gz, .parquet)"),
+        (["car.log"], "--config: expected the configuration by which car.log is read"),
         ([".", "other/drive.csv", *CELL], "their results would overwrite each other"),
         (["empty", *CELL], "empty: expected a folder with recordings"),
         (["drive.csv", *CELL, "--out", "no/such/est.csv"], "no/such/est.csv: expected a file to be written"),

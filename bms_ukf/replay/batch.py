@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -13,7 +13,8 @@ from typing import Any
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.replay import rerun
-from bms_ukf.replay.rerun import RECORDINGS, Options
+from bms_ukf.replay.rerun import CAN_LOGS, FLIGHT, RECORDINGS, Options
+from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
 
 
@@ -22,10 +23,11 @@ class Job:
     """One recording and where its results go; None: nowhere."""
 
     recording: Path
-    cell: CellParams
+    cell: CellParams | None  # None: that of the configuration, for CAN logs
     other: CellParams | None
     options: Options
     tuning: Tuning
+    config: Path | None
     out: Path | None
     json: Path | None
     report: Path | None
@@ -40,14 +42,14 @@ class Done:
     mistake: str | None = None
 
 
-def recordings(given: Sequence[Path]) -> list[Path]:
-    """The recordings meant: files as they are, of folders all that look like one, by name. Raises ConfigError."""
+def recordings(given: Sequence[Path], suffixes: tuple[str, ...] = RECORDINGS) -> list[Path]:
+    """The recordings meant: files as they are, of folders all with these endings, by name. Raises ConfigError."""
     found: list[Path] = []
     for path in given:
         if path.is_dir():
-            inside = sorted(file for file in path.iterdir() if file.name.endswith(RECORDINGS))
+            inside = sorted(file for file in path.iterdir() if file.name.endswith(suffixes))
             if not inside:
-                raise ConfigError(path, expected=f"a folder with recordings ({', '.join(RECORDINGS)})")
+                raise ConfigError(path, expected=f"a folder with recordings ({', '.join(suffixes)})")
             found += inside
         else:
             found.append(path)
@@ -61,7 +63,10 @@ def recordings(given: Sequence[Path]) -> list[Path]:
 
 def stem(path: Path) -> str:
     """The name of a recording without what says its format."""
-    return next((path.name.removesuffix(suffix) for suffix in RECORDINGS if path.name.endswith(suffix)), path.stem)
+    return next(
+        (path.name.removesuffix(suffix) for suffix in (*RECORDINGS, *CAN_LOGS, FLIGHT) if path.name.endswith(suffix)),
+        path.stem,
+    )
 
 
 def places(folder: Path | None, suffix: str, found: Sequence[Path], *, several: bool) -> list[Path | None]:
@@ -97,17 +102,36 @@ def work(job: Job) -> Done:
         return Done(job.recording, None, str(error))
 
 
+def _runner(job: Job) -> Callable[[CellParams | None], tuple[Trace, dict[str, Any]]]:
+    """What runs this recording with a cell; it is read once if it can be."""
+    if job.recording.suffix.lower() in CAN_LOGS:
+        if job.config is None:
+            raise ConfigError("--config", expected=f"the configuration by which {job.recording} is read")
+        from bms_ukf.replay import canlog  # brings cantools, which only CAN logs need
+
+        config = job.config
+        return lambda cell: canlog.rerun(job.recording, config, cell)
+    if job.recording.suffix == FLIGHT:
+        from bms_ukf.replay import flight
+
+        return lambda cell: flight.rerun(job.recording, cell)
+    if job.cell is None:
+        raise ConfigError("--cell", expected=f"a cell file, or the name of a shipped one, for {job.recording}")
+    recording, given = rerun.load(job.recording, job.options), job.cell
+    return lambda cell: rerun.rerun(recording, cell or given, job.options, job.tuning)
+
+
 def _work(job: Job) -> dict[str, Any]:
-    recording = rerun.load(job.recording, job.options)
-    trace, summary = rerun.rerun(recording, job.cell, job.options, job.tuning)
+    run = _runner(job)
+    trace, summary = run(job.cell)
     more: list[Any] = []
     if job.other is not None:
-        second, found = rerun.rerun(recording, job.other, job.options, job.tuning)
+        second, found = run(job.other)
         summary["diff"] = found | {"from_first": rerun.difference(trace, second)}
         if job.report is not None:
             from bms_ukf.report import diff_plot
 
-            more = [diff_plot.render(trace, second, (job.cell.cell.name, job.other.cell.name))]
+            more = [diff_plot.render(trace, second, (summary["cell"], job.other.cell.name))]
     if job.out is not None:
         trace.write_csv(job.out)
     if job.json is not None:
@@ -119,5 +143,5 @@ def _work(job: Job) -> dict[str, Any]:
         from bms_ukf.report.html import write_report
 
         compared = {} if job.other is None else {"compared": job.other.cell.name}
-        write_report(job.report, trace, summary | compared, title=recording.name, judged=False, more=more)
+        write_report(job.report, trace, summary | compared, title=summary["recording"], judged=False, more=more)
     return summary

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from rich.console import Console
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.replay import batch, view
-from bms_ukf.replay.rerun import Options
+from bms_ukf.replay.rerun import CAN_LOGS, FLIGHT, RECORDINGS, Options
 from bms_ukf.tuning import Tuning
 
 
@@ -25,7 +26,7 @@ class Places(NamedTuple):
 
 def replay(
     given: Sequence[Path],
-    cell: str,
+    cell: str | None,
     config: Path | None,
     places: Places,
     diff: str | None,
@@ -38,9 +39,10 @@ def replay(
     """
     if options["initial_sigma"] is not None and options["initial_soc"] is None:
         raise ConfigError("--initial-sigma", value=options["initial_sigma"], expected="--initial-soc beside it")
-    found = batch.recordings(given)
+    found = batch.recordings(given, (*RECORDINGS, FLIGHT) if config is None else (*RECORDINGS, *CAN_LOGS, FLIGHT))
+    _require_recordings(found, options)
     several = len(found) > 1 or any(path.is_dir() for path in given)
-    loaded = CellParams.load(cell)
+    loaded = None if cell is None else CellParams.load(cell)
     other = None if diff is None else CellParams.load(diff)
     tuning = Tuning() if config is None else _tuning(config)
     suffixes = (".csv", ".json", ".html")
@@ -48,7 +50,7 @@ def replay(
         batch.places(place, suffix, found, several=several) for place, suffix in zip(places, suffixes, strict=True)
     ]
     jobs = [
-        batch.Job(path, loaded, other, Options(**options), tuning, *target)
+        batch.Job(path, loaded, other, Options(**options), tuning, config, *target)
         for path, *target in zip(found, *targets, strict=True)
     ]
     done = []
@@ -58,6 +60,17 @@ def replay(
             status.update(f"replay: {len(done)} of {len(jobs)}")
     view.show(done, Console())
     return [result.mistake for result in done if result.mistake is not None]
+
+
+def _require_recordings(found: Sequence[Path], options: dict[str, Any]) -> None:
+    """ConfigError for an option that would do nothing, as every recording is a CAN log or a flight."""
+    if all(path.suffix.lower() in {*CAN_LOGS, FLIGHT} for path in found):
+        for field in fields(Options):
+            if options[field.name] != field.default:
+                option = "--" + field.name.removesuffix("_A").removesuffix("_V").removesuffix("_degC")
+                option = option.removesuffix("_s").replace("_", "-")
+                expected = "no such option for CAN logs and flights: their configuration says how they are read"
+                raise ConfigError(option, value=options[field.name], expected=expected)
 
 
 def _tuning(config: Path) -> Tuning:

@@ -31,14 +31,18 @@ from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
 
 RECORDINGS = (".csv", ".csv.gz", ".parquet")
-CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
+CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")  # candump -L, Vector's two, PEAK's, ASAM's
+FLIGHT = ".flight"  # of the flight recorder
 
 
 @dataclass(slots=True, frozen=True)
 class Options:
-    """How a recording is read, and what is done to it before an estimator sees it. Current is positive on discharge."""
+    """How a recording is read, and what is done to it before an estimator sees it. Current is positive on discharge.
 
-    current_positive: Sign
+    Of a CAN log all that is the configuration's.
+    """
+
+    current_positive: Sign | None = None  # None: for CAN logs only
     temperature_degC: float | None = None  # for a recording without a temperature
     voltage_lag_s: float = 0.0
     resample_s: float | None = None
@@ -53,8 +57,8 @@ class Options:
 
 def load(path: Path, options: Options) -> Recording:
     """The recording at `path`, its sign checked, lag removed, resampled. Raises ConfigError."""
-    if path.suffix.lower() in CAN_LOGS:
-        raise ConfigError(path, expected=f"a recording ({', '.join(RECORDINGS)}): CAN logs cannot be replayed yet")
+    if options.current_positive is None:
+        raise ConfigError("--current-positive", expected=f"charge or discharge, for {path}")
     recording = read(path, current_positive=options.current_positive, temperature_degC=options.temperature_degC)
     require_sign(recording, options.current_positive)
     if options.voltage_lag_s:

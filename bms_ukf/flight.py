@@ -1,0 +1,139 @@
+"""A flight recorder: the last minutes of what the estimator was given and said, written to a file on a fault.
+
+The file can be run again bit for bit (`bms-ukf replay FILE.flight`): it begins with a snapshot of the estimator. Its
+first line is JSON (`HEADER`); then come parts, oldest first, each a length (uint32), a snapshot, a length and entries:
+
+    kind (bits of KIND), t_ns · current_A, voltage_V, temperature_degC · mean SoC, largest sigma, status, faults,
+    CRC-32 of all cells' SoC and sigma · for each array a count, the cells' indices (uint16) and values (float64)
+
+little-endian. Values of a pack that were not measured are left out.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import struct
+import threading
+import zlib
+from collections import deque
+from datetime import UTC, datetime
+from enum import IntFlag
+from pathlib import Path
+
+import numpy as np
+
+from bms_ukf.estimator import Estimator
+from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Status
+
+log = logging.getLogger(__name__)
+
+SUFFIX = ".flight"
+HEADER = ("format", "reason", "written", "cells", "precision", "cell", "tuning")
+ENTRY = struct.Struct("<BqdddddBII")
+COUNT = struct.Struct("<H")
+LENGTH = struct.Struct("<I")
+PARTS = 4  # of the span: the oldest goes when a new one begins
+AFTER_NS = 5_000_000_000  # what followed the fault is in the file, too
+
+
+class Kind(IntFlag):
+    """What an entry is."""
+
+    STEP = 0
+    COAST = 1
+    OPEN_CIRCUIT = 2
+    VOLTAGES = 4  # an array follows
+    TEMPERATURES = 8
+
+
+class Recorder:
+    """The daemon's witness; see `daemon.Witness`. Keeps between `span_s` and a quarter more of it."""
+
+    def __init__(self, estimator: Estimator, folder: Path, span_s: float = 120.0, keep: int = 10) -> None:
+        """Of the files in `folder` the newest `keep` stay."""
+        self.folder, self._estimator, self._keep = folder, estimator, keep
+        self._part_ns = round(span_s * 1e9 / PARTS)
+        self._parts: deque[tuple[bytes, bytearray]] = deque(maxlen=PARTS + 1)
+        self._part_until_ns: int | None = None
+        self._faults = Fault.NONE
+        self._reason = Fault.NONE
+        self._due_ns: int | None = None
+        self._not_before_ns: int | None = None
+        self._begin()
+
+    def stepped(self, sample: Sample, estimate: Estimate) -> None:
+        kind = Kind.OPEN_CIRCUIT if sample.open_circuit else Kind.STEP
+        self._enter(kind, sample.t_ns, sample.current_A, sample.voltage_V, sample.temperature_degC, estimate)
+
+    def coasted(self, t_ns: int, estimate: Estimate) -> None:
+        self._enter(Kind.COAST, t_ns, NAN, NAN, NAN, estimate)
+
+    def published(self, t_ns: int, estimate: Estimate, _: Detail) -> None:
+        new = estimate.faults & ~self._faults
+        self._faults = estimate.faults
+        if self._due_ns is not None:
+            if t_ns >= self._due_ns:
+                self._due_ns = None
+                self._not_before_ns = t_ns + PARTS * self._part_ns
+                threading.Thread(target=self._write, args=(self.file(self._reason),), name="flight").start()
+        elif new and estimate.status is not Status.INITIALISING and t_ns >= (self._not_before_ns or t_ns):
+            self._reason, self._due_ns = new, t_ns + AFTER_NS
+
+    def file(self, reason: Fault) -> bytes:
+        """All that is remembered, as a file."""
+        estimator = self._estimator
+        written = datetime.now(UTC).isoformat(timespec="seconds")
+        cell, tuning = estimator.cell.model_dump_json(), estimator.tuning.model_dump_json()
+        words = "|".join(fault.name.lower() for fault in reason if fault.name)
+        values = (1, words, written, estimator.cells, estimator.precision, cell, tuning)
+        parts = [json.dumps(dict(zip(HEADER, values, strict=True))).encode() + b"\n"]
+        for snapshot, entries in self._parts:
+            parts += [LENGTH.pack(len(snapshot)), snapshot, LENGTH.pack(len(entries)), bytes(entries)]
+        return b"".join(parts)
+
+    def _enter(
+        self, kind: Kind, t_ns: int, current_A: float, voltage_V: PerCell, temperature_degC: PerCell, told: Estimate
+    ) -> None:
+        arrays = b""
+        if not isinstance(voltage_V, float):
+            kind, arrays, voltage_V = kind | Kind.VOLTAGES, _packed(voltage_V), NAN
+        if not isinstance(temperature_degC, float):
+            kind, arrays, temperature_degC = kind | Kind.TEMPERATURES, arrays + _packed(temperature_degC), NAN
+        self._parts[-1][1].extend(
+            ENTRY.pack(kind, t_ns, current_A, voltage_V, temperature_degC, *summary(told)) + arrays
+        )
+        if self._part_until_ns is None:
+            self._part_until_ns = t_ns + self._part_ns
+        elif t_ns >= self._part_until_ns:
+            self._begin()
+            self._part_until_ns = t_ns + self._part_ns
+
+    def _begin(self) -> None:
+        self._parts.append((self._estimator.snapshot(), bytearray()))
+
+    def _write(self, data: bytes) -> None:
+        name = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ") + SUFFIX
+        try:
+            (self.folder / name).write_bytes(data)
+            for old in sorted(self.folder.glob(f"*{SUFFIX}"))[: -self._keep]:
+                old.unlink(missing_ok=True)
+            log.warning("flight recorder: %s written to %s", self._reason, self.folder / name)
+        except OSError as error:
+            log.warning("flight recorder: %s: not written (%s)", self.folder / name, error.strerror)
+
+
+def summary(estimate: Estimate) -> tuple[float, float, int, int, int]:
+    """Mean SoC, largest sigma, status, faults and a CRC of all there is of SoC and sigma."""
+    soc, sigma = estimate.soc, estimate.soc_sigma
+    if isinstance(soc, float) and isinstance(sigma, float):
+        return soc, sigma, int(estimate.status), int(estimate.faults), 0
+    soc, sigma = np.asarray(soc), np.asarray(sigma)
+    crc = zlib.crc32(sigma.tobytes(), zlib.crc32(soc.tobytes()))
+    return float(soc.mean()), float(sigma.max()), int(estimate.status), int(estimate.faults), crc
+
+
+def _packed(values: PerCell) -> bytes:
+    array = np.asarray(values)
+    known = np.flatnonzero(~np.isnan(array))
+    return COUNT.pack(known.size) + known.astype("<u2").tobytes() + array[known].astype("<f8").tobytes()

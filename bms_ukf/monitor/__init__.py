@@ -1,0 +1,1 @@
+"""`bms-ukf monitor`: what is on the bus, for a person."""

@@ -1,0 +1,96 @@
+"""A CAN log through the daemon as `bms-ukf run` has it: one row for every set of frames it would have published.
+
+Of a pack a row holds what its frames do: mean SoC, largest sigma, prediction and NIS of the cell that fits worst. Its
+summary has the keys of `rerun`, with `steps_per_s` of the samples taken, and
+
+| key | meaning |
+|---|---|
+| `samples` | that the estimator took |
+| `frames` | what became of the received ones; see `frames.Counters` |
+| `real_time_factor` | time of the log over that of the replay, reading included |
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, cast
+
+import can
+import numpy as np
+
+from bms_ukf.bus import SafeBus
+from bms_ukf.cell import CellParams
+from bms_ukf.config import Setup
+from bms_ukf.daemon import Daemon
+from bms_ukf.errors import ConfigError
+from bms_ukf.estimator import Estimator
+from bms_ukf.records import NAN, Detail, Estimate, Sample
+from bms_ukf.replay.logs import LogBus, LogClock, frames
+from bms_ukf.replay.rows import Rows
+from bms_ukf.trace import Trace
+
+
+def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Trace, dict[str, Any]]:
+    """Every set that would have been published, and the summary. `cell` takes the place of the configuration's."""
+    setup = Setup.load(config, cell)
+    clock, ended, told = LogClock(), threading.Event(), _Published()
+    log = frames(path, setup.decoder.ids())
+    bus = SafeBus(lambda: cast(can.BusABC, LogBus(log, clock, ended)))
+    estimator = Estimator(setup.cell, setup.config.cells, setup.config.estimator)
+    daemon = Daemon(bus, estimator, setup.intake(), clock=clock, pace=setup.pace, fd=setup.config.bus.fd)
+    daemon.witness = told
+    begin_s = time.perf_counter()
+    daemon.run(ended)
+    took_s = time.perf_counter() - begin_s
+    if not told.samples:
+        expected = (
+            f"frames of {', '.join(sorted({b.message.name for b in setup.decoder.bound}))}, as {config} maps them"
+        )
+        raise ConfigError(path, expected=expected)
+    trace = told.rows.trace()
+    final = {name: float(trace[name][-1]) if len(trace) else NAN for name in ("soc", "soc_sigma")}
+    duration_s = clock.now() * 1e-9
+    summary = {
+        "recording": path.name,
+        "cell": setup.cell.cell.name,
+        "estimator": "srukf",
+        "n": len(trace),
+        "duration_s": duration_s,
+        "steps_per_s": told.samples / took_s,
+        "final_soc": final["soc"] if np.isfinite(final["soc"]) else None,
+        "soc_sigma_final": final["soc_sigma"] if np.isfinite(final["soc_sigma"]) else None,
+        "warnings": [*setup.warnings, *_warnings(setup, clock)],
+        "samples": told.samples,
+        "frames": asdict(setup.decoder.counters),
+        "real_time_factor": duration_s / took_s,
+    }
+    return trace, summary
+
+
+def _warnings(setup: Setup, clock: LogClock) -> list[str]:
+    found = []
+    if setup.decoder.counters.refused:
+        found.append(f"{setup.decoder.counters.refused} frames were refused for length, CRC or counter")
+    if clock.steps:
+        found.append(f"the clock that stamped the frames was set back {clock.steps} times")
+    return found
+
+
+class _Published:
+    """A row for every set of frames."""
+
+    def __init__(self) -> None:
+        self.rows, self.samples = Rows(), 0
+
+    def stepped(self, sample: Sample, _: Estimate) -> None:
+        self.samples += 1
+        self.rows.measured(sample)
+
+    def coasted(self, t_ns: int, _: Estimate) -> None:
+        """A prediction is a row only if it is published."""
+
+    def published(self, t_ns: int, estimate: Estimate, _: Detail) -> None:
+        self.rows.add(t_ns, estimate)

@@ -1,0 +1,154 @@
+"""What is stored of a belief is taken up after a restart, aged; what is not fit for it is refused by name."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import CELL
+
+from bms_ukf import Estimator, Sample, Status, Tuning, slots
+from bms_ukf import state as state_module
+from bms_ukf.records import Stored
+from bms_ukf.scaling import scaled
+from bms_ukf.slots import Slot
+from bms_ukf.state import Keeper, resume
+
+NOW_NS = 1_800_000_000 * 10**9
+HOUR_NS = 3600 * 10**9
+MAX_AGE_S = 30 * 86400.0
+
+
+def driven(cells: int = 1) -> Estimator:
+    estimator = Estimator(CELL, cells)
+    voltage = 3.6 if cells == 1 else np.full(cells, 3.6)
+    for k in range(300):
+        estimator.step(Sample(k * 10**9, 1.0, voltage, 25.0))
+    return estimator
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """A file with what was known an hour ago."""
+    path = tmp_path / "state"
+    slots.write(path, Slot(NOW_NS - HOUR_NS, driven().snapshot()))
+    return path
+
+
+def taken_up(estimator: Estimator, path, now_ns: int = NOW_NS) -> Stored:
+    stored, line = resume(estimator, path, now_ns, 7, MAX_AGE_S)
+    assert str(path) in line
+    return stored
+
+
+def refused(path, now_ns: int = NOW_NS, estimator: Estimator | None = None) -> Stored:
+    """What is said, having checked that the estimator knows nothing of it."""
+    estimator = estimator or Estimator(CELL)
+    stored = taken_up(estimator, path, now_ns)
+    assert estimator.coast(10**9).status is Status.INITIALISING
+    return stored
+
+
+def test_a_belief_comes_back_as_it_was_but_for_what_the_time_off_did(stored):
+    estimator, known = Estimator(CELL), driven().coast(300 * 10**9)
+    assert taken_up(estimator, stored) is Stored.USED
+    now = estimator.coast(10**9)
+    assert estimator.t_ns == 10**9
+    assert now.status is Status.DEGRADED, "nothing has been measured yet"
+    assert now.soc == pytest.approx(known.soc, abs=2e-3)
+    assert now.soc_sigma >= known.soc_sigma
+    assert now.age_s > 3600
+
+
+def test_the_doubt_is_that_of_the_time_off(stored):
+    sigmas = []
+    for days in (1, 10):
+        estimator = Estimator(CELL)
+        assert taken_up(estimator, stored, NOW_NS + days * 24 * HOUR_NS) is Stored.USED
+        sigmas.append(estimator.coast(10**9).soc_sigma)
+    assert sigmas[0] > 0.01
+    assert sigmas[1] > 5 * sigmas[0]
+
+
+def test_without_a_file_it_is_the_first_start(tmp_path):
+    assert refused(tmp_path / "none") is Stored.NONE
+
+
+def test_a_clock_set_back_is_no_reason_to_believe_a_state_of_the_future(stored):
+    assert refused(stored, NOW_NS - 2 * HOUR_NS) is Stored.FUTURE
+
+
+def test_a_state_too_old_is_refused(stored):
+    assert refused(stored, NOW_NS + round(MAX_AGE_S * 1e9)) is Stored.STALE
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda: Estimator(scaled(CELL, 2.0)),
+        lambda: Estimator(CELL, cells=2),
+        lambda: Estimator(CELL, tuning=Tuning(voltage_sensor_sigma_V=0.005)),
+    ],
+)
+def test_the_state_of_another_cell_tuning_or_pack_is_refused(stored, other):
+    assert refused(stored, estimator=other()) is Stored.FOREIGN
+
+
+def test_a_damaged_state_is_refused_and_half_a_damage_is_not_the_end(stored):
+    data = stored.read_bytes()
+    stored.write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:])
+    assert refused(stored) is Stored.CORRUPT
+    stored.write_bytes(data[:100] + bytes([data[100] ^ 1]) + data[101:] + data)
+    assert taken_up(Estimator(CELL), stored) is Stored.USED
+
+
+def test_content_that_is_whole_and_no_belief_is_refused(stored):
+    slots.write(stored, Slot(NOW_NS, b"anything"))
+    assert refused(stored) is Stored.FOREIGN
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    (tmp_path / "state").mkdir()
+    assert refused(tmp_path / "state") is Stored.UNREADABLE
+
+
+def test_the_keeper_writes_the_newest_and_keeps_the_one_before(tmp_path):
+    path = tmp_path / "state"
+    slots.write(path, Slot(1, b"before"))
+    keeper = Keeper(path)
+    keeper.keep(b"now", 2)
+    assert keeper.close()
+    assert slots.read(path) == [Slot(2, b"now"), Slot(1, b"before")]
+
+
+def test_a_medium_that_is_slow_or_full_holds_nobody_up(tmp_path, monkeypatch, caplog):
+    attempts = []
+
+    def slow_and_full(*_: object) -> None:
+        attempts.append(1)
+        time.sleep(0.1)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(state_module.slots, "write", slow_and_full)
+    keeper = Keeper(tmp_path / "state")
+    began_s = time.monotonic()
+    with caplog.at_level(logging.WARNING):
+        for k in range(1000):
+            keeper.keep(b"x", k)
+        assert time.monotonic() - began_s < 0.1
+        assert keeper.close()
+    assert 1 <= len(attempts) < 5
+    assert len(caplog.messages) == 1
+    assert "No space left on device" in caplog.messages[0]
+
+
+def test_a_pack_is_stored_whole(tmp_path):
+    path, pack = tmp_path / "state", driven(cells=20)
+    slots.write(path, Slot(NOW_NS, pack.snapshot()))
+    back = Estimator(CELL, 20)
+    assert taken_up(back, path) is Stored.USED
+    known, now = replace(pack.coast(300 * 10**9)), back.coast(10**9)
+    np.testing.assert_allclose(now.soc, known.soc, atol=2e-3)
