@@ -23,7 +23,7 @@ class Tuning(Section):
     initial_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.3
     initial_current_sigma_A: NonNegative | None = None  # unseen load before the first sample; None: C/20
 
-    current_offset_sigma_A: Positive | None = None  # None: C/100
+    current_offset_sigma_A: Positive | None = None  # None: C/50
     current_bias: bool = True  # estimate the offset as a state of the filter
     current_gain_sigma: NonNegative = 0.01
     current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one

@@ -28,7 +28,7 @@ def kalman(cell: CellParams, given: Signals, told: Told) -> tuple[np.ndarray, np
     noise, Q_As, tuning = cell.noise, 3600 * cell.cell.capacity_Ah, Tuning()
     r, tau = np.array([at["r1_ohm"], at["r2_ohm"]]), np.array([at["tau1_s"], at["tau2_s"]])
     own_var = np.array([noise.v_rc1_sigma_V, noise.v_rc2_sigma_V]) ** 2
-    offset_A = cell.cell.capacity_Ah / 100
+    offset_A = cell.cell.capacity_Ah / 50
     first = given.current_A[0]
     x = np.array([told.soc, *(r * first / 2)])
     P = np.diag([told.sigma**2, *(own_var + r**2 * ((cell.cell.capacity_Ah / 20) ** 2 + first**2 / 4))])

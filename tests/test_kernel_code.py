@@ -191,7 +191,7 @@ def simulate(tuning: Tuning, cell: CellParams, cells: int, steps: int, seed: int
     for k in range(steps):
         if k > 0:
             current = 1.0 + 2.0 * math.sin(k / 30)
-            offset = cell.cell.capacity_Ah / 100
+            offset = cell.cell.capacity_Ah / 50
             walk = (offset**2 + (0.01 * current) ** 2) * tuning.current_error_horizon_s / charge**2
             efficiency = cell.cell.coulombic_efficiency if current < 0 else 1.0
             soc = soc - efficiency * current / charge + math.sqrt(walk) * rng.standard_normal(cells)

@@ -120,14 +120,13 @@ def test_on_a_linear_cell_it_is_a_kalman_filter(alpha):
         else:
             a1, a2 = math.exp(-dt / tau1), math.exp(-dt / tau2)
             efficiency = 0.99 if current < 0 else 1.0
-            walk = (0.05**2 + (0.01 * current) ** 2) * tuning.current_error_horizon_s / charge**2
+            walk = (0.1**2 + (0.01 * current) ** 2) * tuning.current_error_horizon_s / charge**2
             q = np.array(
                 [
                     walk * dt,
-                    (1 - a1**2)
-                    * (noise.v_rc1_sigma_V**2 + (noise.rc_rel_sigma * r1 * current) ** 2 + (0.05 * r1) ** 2),
+                    (1 - a1**2) * (noise.v_rc1_sigma_V**2 + (noise.rc_rel_sigma * r1 * current) ** 2 + (0.1 * r1) ** 2),
                     (1 - a2**2)
-                    * (noise.v_rc2_sigma_V**2 + (noise.rc_rel_sigma * r2 * current) ** 2 + (0.05 * (r2 + r0)) ** 2),
+                    * (noise.v_rc2_sigma_V**2 + (noise.rc_rel_sigma * r2 * current) ** 2 + (0.1 * (r2 + r0)) ** 2),
                 ]
             )
             A = np.diag([1.0, a1, a2])

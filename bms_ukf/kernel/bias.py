@@ -25,7 +25,7 @@ from bms_ukf.kernel.memory import real
 from bms_ukf.kernel.srukf import update
 
 REST_S = 120.0  # a reading that has not moved for so long is one of rest
-PLAUSIBLE = 5.0  # sigmas of the offset: a larger reading is a load
+PLAUSIBLE = 2.5  # sigmas of the offset: a larger reading is a load
 KNOWN = 0.1  # of the offset's sigma: error of a reading while no current can flow
 
 

@@ -79,7 +79,7 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
 def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None:
     capacity_Ah = cell.cell.capacity_Ah
     charge = p[k.P_CHARGE_COULOMB]
-    offset_A = capacity_Ah / 100 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
+    offset_A = capacity_Ah / 50 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
     # An error that stays the same over the horizon H and is then redrawn: SoC walks with variance sigma^2 H per second.
     # With a state of its own the offset is no noise.
     unseen_A = 0.0 if tuning.current_bias else offset_A

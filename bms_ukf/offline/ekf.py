@@ -71,7 +71,7 @@ def model_of(cell: CellParams, tuning: Tuning) -> Model:
     tables = [np.column_stack(list(cell.dynamics_at(soc, float(temperature)).values())) for temperature in temperatures]
     charge_As = 3600 * limits.capacity_Ah
     offset_A, load_A = tuning.current_offset_sigma_A, tuning.initial_current_sigma_A
-    offset_A = limits.capacity_Ah / 100 if offset_A is None else offset_A
+    offset_A = limits.capacity_Ah / 50 if offset_A is None else offset_A
     sigmas_V = (noise.v_rc1_sigma_V, noise.v_rc2_sigma_V, noise.v_rc3_sigma_V, noise.hysteresis_sigma_V)
     return Model(
         ocv_V=ocv_V,

@@ -53,7 +53,7 @@ def coulomb(cell: CellParams, tuning: Tuning) -> Runner:
     """The charge counted from the start; its sigma is what the sensor's offset and gain may have added up to."""
     limits = cell.cell
     charge_As = 3600 * limits.capacity_Ah
-    offset_A = limits.capacity_Ah / 100 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
+    offset_A = limits.capacity_Ah / 50 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
 
     def run(signals: Signals, told: Told | None) -> Columns:
         start = told or from_first_voltage(cell, signals, tuning)

@@ -82,7 +82,7 @@ class Cell:
         noise = self.params.noise
         self.n_rc = self.params.dynamics.n_rc
         self.sigmas = [getattr(noise, f"v_rc{j}_sigma_V") for j in range(1, self.n_rc + 1)]
-        self.offset = self.params.cell.capacity_Ah / 100
+        self.offset = self.params.cell.capacity_Ah / 50
 
     def start(self, i: float, temperature: float) -> None:
         """At `tuning.initial_soc`; current i, and C/20 more or less of it, may have flowed for long or not at all."""
