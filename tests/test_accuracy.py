@@ -146,9 +146,12 @@ def test_no_other_weights_are_more_accurate_and_as_honest(cell, truths):
 def test_ten_voltages_a_second_do_not_make_the_band_dishonest(cell, soc):
     true = driven(Drive([{"rest_s": 60}, {"cycle": "wltc_3b"}], soc, 25.0), 0.1)
     time_s = 0.1 * np.arange(len(true))
+    held = []
     for seed in range(3):
         told = Tuning(initial_soc=soc - 0.2, initial_soc_sigma=0.2)
         result = estimated(cell, true, told, 0.05, 0.1, seed)
         score = metrics.score(time_s, result[:, 0], result[:, 1], true[:, 3])
         assert score["after_600s"]["rmse_pct"] < 1.0
-        assert score["coverage95"] > 0.85
+        held.append(score["coverage95"])
+    assert np.mean(held) > 0.9
+    assert min(held) > 0.75
