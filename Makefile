@@ -27,6 +27,7 @@ bench: .venv/test compiler
 
 soak: .venv/test
 	PYTHONPATH=tests/reference $(BIN)/python -m soak 1e8
+	PYTHONPATH=tests/reference $(BIN)/python -m fuzz 1e6
 	BMS_UKF_KILLS=1000 $(BIN)/python -m pytest tests/test_slots.py -k kill
 
 clean:

@@ -89,6 +89,12 @@ class Recorder(toml.Section):
     keep: Annotated[int, Field(ge=1, le=1000)] = 10  # files
 
 
+class Metrics(toml.Section):
+    """[metrics]: for Prometheus, on this machine only."""
+
+    port: Annotated[int, Field(ge=1, le=65535)]
+
+
 class Config(toml.Document):
     """A whole CONFIG.toml."""
 
@@ -104,6 +110,7 @@ class Config(toml.Document):
     signals: Signals | None = None
     state: State | None = None
     recorder: Recorder | None = None
+    metrics: Metrics | None = None
     estimator: Tuning = Field(default_factory=Tuning)
 
 

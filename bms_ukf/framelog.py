@@ -29,7 +29,7 @@ class FrameLog:
         try:
             self._writer: can.io.generic.MessageWriter | None = can.Logger(path)
         except (ImportError, NotImplementedError):
-            raise ConfigError("--log-frames", expected="the package asammdf, for .mf4 (pip install asammdf)") from None
+            raise ConfigError("--log-frames", expected="asammdf, for .mf4 (pip install 'bms-ukf[mf4]')") from None
         except OSError as error:
             raise ConfigError(path, expected=f"a file that can be written ({error.strerror})") from None
 

@@ -21,6 +21,7 @@ from bms_ukf.config import Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
+from bms_ukf.exporter import Exporter
 from bms_ukf.flight import Recorder
 from bms_ukf.framelog import FrameLog
 from bms_ukf.notify import Notifier
@@ -78,6 +79,7 @@ class Service:
         self.daemon = Daemon(self._bus, self._estimator, self._setup.intake(), pace=self._setup.pace, fd=config.bus.fd)
         self._keeper = self._keeper_of(self._setup)
         self.daemon.witness = self._recorder_of(self._setup)
+        self._exporter = self._exporter_of(self._setup)
         self._store_at_s = self._status_at_s = 0.0
 
     def start(self) -> None:
@@ -120,6 +122,8 @@ class Service:
         if self._keeper is not None and not self._keeper.close():
             log.warning("state: %s: not stored in time", self._keeper.path)
         self._bus.close()
+        if self._exporter is not None:
+            self._exporter.close()
         if self._log is not None:
             self._log.close()
         counters = self._setup.decoder.counters
@@ -131,17 +135,21 @@ class Service:
         if (self._setup.cell, old.cells, old.estimator) != (setup.cell, new.cells, new.estimator):
             expected = "the cell, the number of cells and the [estimator] section as they were: restart to change them"
             raise ConfigError(self._path, expected=expected)
-        same_state = old.state == new.state
-        keeper = self._keeper if same_state else self._keeper_of(setup)
+        witness = self.daemon.witness if old.recorder == new.recorder else self._recorder_of(setup)
+        if old.metrics != new.metrics:
+            exporter = self._exporter_of(setup)
+            if self._exporter is not None:
+                self._exporter.close()
+            self._exporter = exporter
         if old.bus != new.bus or sorted(self._setup.decoder.ids()) != sorted(setup.decoder.ids()):
             bus = self._opened(setup)
             self._bus.close()
             self._bus = bus
-        if not same_state and self._keeper is not None:
-            self._keeper.close()
-        self._setup, self._keeper = setup, keeper
-        if old.recorder != new.recorder:
-            self.daemon.witness = self._recorder_of(setup)
+        if old.state != new.state:
+            if self._keeper is not None:
+                self._keeper.close()
+            self._keeper = self._keeper_of(setup)
+        self._setup, self.daemon.witness = setup, witness
         self.daemon.reconfigure(self._bus, setup.intake(), pace=setup.pace, fd=new.bus.fd)
 
     def _opened(self, setup: Setup) -> SafeBus:
@@ -161,6 +169,10 @@ class Service:
         except OSError as error:
             raise ConfigError(self._path, key="recorder.folder", value=str(folder), expected=str(error)) from None
         return Recorder(self._estimator, folder, wanted.span_s, wanted.keep)
+
+    def _exporter_of(self, setup: Setup) -> Exporter | None:
+        wanted = setup.config.metrics
+        return None if wanted is None else Exporter(self.daemon, wanted.port, str(self._path))
 
     def _store(self) -> None:
         """Nothing that is worth less than what was stored before takes its place."""

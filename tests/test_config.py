@@ -12,7 +12,7 @@ from e2e.crc import calculate_crc8_h2f
 from pydantic import BaseModel
 
 from bms_ukf import ConfigError, Tuning, resources, service, toml
-from bms_ukf.config import Bus, Config, Lags, Setup, Signals, State
+from bms_ukf.config import Bus, Config, Lags, Metrics, Recorder, Setup, Signals, State
 from bms_ukf.e2e_settings import Crc, E2e
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "models" / "configs" / "example.toml"
@@ -59,7 +59,7 @@ def test_the_example_works_with_the_dbc_beside_it():
     assert (sample.t_ns, sample.current_A) == (7, -12.5), "positive is charge there, and discharge here"
 
 
-@pytest.mark.parametrize("model", [Config, Bus, Signals, Lags, E2e, Crc, State, Tuning])
+@pytest.mark.parametrize("model", [Config, Bus, Signals, Lags, E2e, Crc, Metrics, Recorder, State, Tuning])
 def test_the_example_shows_every_key(model: type[BaseModel]):
     text = EXAMPLE.read_text(encoding="utf-8")
     shown = set(re.findall(r"(?:^(?:# )?\[?|[.{,] ?)(\w+)(?=[.\]]| = )", text, flags=re.MULTILINE))

@@ -82,6 +82,7 @@ KNOWN_TO = {
     "fmpy": {"fmu", "plant"},
     "cantools": CODEC | {"candidates", "monitor", "skeleton"},
     "fastcrc": {"e2e"},
+    "prometheus_client": {"exporter"},
     "can": {"bus", "cosim", "framelog", "links", "replay", "socketcan"},
     "click": {"cli"},
 }

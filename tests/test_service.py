@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 import re
 import shutil
 import socket
@@ -11,6 +12,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import can
 import pytest
@@ -247,6 +249,46 @@ def test_a_bus_that_cannot_be_opened_changes_nothing(started, vehicle, tmp_path,
     assert "a CAN interface that exists and is up" in caplog.messages[-1]
     vehicle.drive(running, 3)
     assert running.daemon.estimate.status is Status.OK
+
+
+# --- metrics ------------------------------------------------------------------------------------------------------
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def scraped(port: int) -> dict[str, float]:
+    with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5.0) as answer:
+        lines = answer.read().decode().splitlines()
+    return {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in lines if not line.startswith("#")}
+
+
+def test_metrics_say_what_is_published_and_only_to_this_machine(started, vehicle):
+    port = free_port()
+    running = started(CONFIG + f"[metrics]\nport = {port}\n")
+    assert math.isnan(scraped(port)["bms_ukf_soc_ratio"])
+    vehicle.drive(running, 20)
+    told = scraped(port)
+    assert told["bms_ukf_soc_ratio"] == running.daemon.estimate.soc
+    assert told['bms_ukf_status{status="ok"}'] == 1.0
+    assert told['bms_ukf_fault{fault="e2e"}'] == 0.0
+    assert told['bms_ukf_received_frames_total{outcome="accepted"}'] == 60.0
+    assert told["bms_ukf_answers_total"] == running.daemon.published
+    assert running._exporter._server.server_address[0] == "127.0.0.1"
+
+
+def test_a_port_that_is_taken_is_one_line_and_another_one_is_taken_up_on_reload(started, tmp_path, caplog):
+    ports = free_port(), free_port()
+    running = started(CONFIG + f"[metrics]\nport = {ports[0]}\n")
+    with socket.create_server(("127.0.0.1", ports[1])):
+        reloaded(running, tmp_path, CONFIG + f"[metrics]\nport = {ports[1]}\n")
+        assert "metrics.port" in caplog.messages[-1]
+        assert "free (Address already in use)" in caplog.messages[-1]
+        assert scraped(ports[0])
+    reloaded(running, tmp_path, CONFIG + f"[metrics]\nport = {ports[1]}\n")
+    assert scraped(ports[1])
 
 
 # --- systemd ------------------------------------------------------------------------------------------------------

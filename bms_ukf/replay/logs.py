@@ -28,7 +28,7 @@ def frames(path: Path, ids: Collection[tuple[int, bool]]) -> Iterator[can.Messag
                 if (message.arbitration_id, message.is_extended_id) in wanted:
                     yield message
     except (ImportError, NotImplementedError):
-        raise ConfigError(path, expected="the package asammdf, which reads .mf4 (pip install asammdf)") from None
+        raise ConfigError(path, expected="asammdf, which reads .mf4 (pip install 'bms-ukf[mf4]')") from None
     except (OSError, ValueError, IndexError, KeyError, AssertionError, struct.error, can.CanError) as error:
         raise ConfigError(path, expected=f"a CAN log in the format its name says ({error or type(error)})") from None
 

@@ -1,0 +1,110 @@
+"""The daemon as a process behind a socket pair that carries SocketCAN frames, no controller, no driver; `make bench`.
+
+Latency is from the last voltage frame of a scan handed to the kernel to the SocEstimate read from it, both ways through
+the scheduler. Load is frames as fast as the daemon takes them; 1 Mbit/s carries at most 9009 of 8 bytes a second (111
+bits each, without stuff bits).
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bms_ukf import Sample
+from bms_ukf.node import SampleEncoder
+
+pytestmark = pytest.mark.bench
+
+FRAME = struct.Struct("=IB3x8s")
+SOC_ESTIMATE, STEADY = 0x220, 20_000
+FRAMES = int(float(os.environ.get("BMS_UKF_FRAMES", "2e5")))  # for memory; 1e7 takes an hour
+
+
+@contextmanager
+def daemon(cells: int) -> Iterator[tuple[socket.socket, int]]:
+    """Our end of its bus, and its process id."""
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    command = [sys.executable, str(Path(__file__).with_name("over_socket.py")), str(its.fileno()), str(cells)]
+    process = subprocess.Popen(command, pass_fds=[its.fileno()])
+    its.close()
+    try:
+        ours.settimeout(120.0)
+        assert ours.recv(16)[8:13] == b"ready"
+        yield ours, process.pid
+    finally:
+        process.kill()
+        process.wait()
+        ours.close()
+
+
+def send(bus: socket.socket, frames: list[tuple[int, bool, bytes]]) -> None:
+    for number, _, data in frames:
+        bus.send(FRAME.pack(number, 8, data))
+
+
+def answer(bus: socket.socket) -> None:
+    """Wait for the SocEstimate."""
+    while FRAME.unpack(bus.recv(16))[0] != SOC_ESTIMATE:
+        pass
+
+
+def resident_MB(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def sample(cells: int) -> Sample:
+    return Sample(0, 1.0, 3.7 if cells == 1 else np.full(cells, 3.7), 25.0)
+
+
+@pytest.mark.parametrize("cells", [1, 96])
+def test_latency_from_the_last_voltage_frame_to_the_soc_frame(cells: int, capsys: pytest.CaptureFixture[str]) -> None:
+    encoder, known = SampleEncoder(cells), sample(cells)
+    took_us = []
+    with daemon(cells) as (bus, _):
+        for _ in range(1500):
+            *before, last = encoder.encode(known)
+            send(bus, before)
+            time.sleep(0.015)  # until these are read
+            begin = time.perf_counter()
+            send(bus, [last])
+            answer(bus)
+            took_us.append(1e6 * (time.perf_counter() - begin))
+    median, p99, p999 = np.percentile(took_us[100:], [50, 99, 99.9])
+    with capsys.disabled():
+        print(
+            f"\n{cells:3d} cells: voltage frame to SoC frame {median:.0f} us, 99 % {p99:.0f} us, 99.9 % {p999:.0f} us"
+        )
+    assert median < 10_000
+
+
+def test_frames_a_second_without_loss_and_memory(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nine currents to a voltage, as at 100 and 10 Hz; the pair's own back-pressure paces the sender."""
+    encoder, known = SampleEncoder(), sample(1)
+    rates, sizes = [], []
+    with daemon(1) as (bus, pid):
+        send(bus, encoder.encode(known))
+        answer(bus)
+        sent = 0
+        while sent < FRAMES:
+            begin = time.perf_counter()
+            for _ in range(STEADY // 10):
+                send(bus, [encoder.pack(known) for _ in range(9)] + encoder.voltages(known))
+                answer(bus)
+            rates.append(STEADY / (time.perf_counter() - begin))
+            sizes.append(resident_MB(pid))
+            sent += STEADY
+    with capsys.disabled():
+        print(f"\n{np.median(rates):.0f} frames/s taken (sender on the same machine); 1 Mbit/s carries at most 9009")
+        print(f"{sizes[0]:.1f} MB resident after {STEADY} frames, {sizes[-1]:.1f} MB after {sent}")
+    assert sizes[-1] < sizes[0] + 5.0
