@@ -11,6 +11,7 @@ import hypothesis
 import pytest
 
 from bms_ukf import CellParams, cli
+from bms_ukf.manifest import DATA_FOLDER
 
 # A busy machine is not a failure. CI tries the same examples every time; whoever works on the code tries others.
 hypothesis.settings.register_profile("bms-ukf", deadline=None, derandomize="CI" in os.environ)
@@ -20,6 +21,15 @@ hypothesis.settings.load_profile("bms-ukf")
 @pytest.fixture(scope="session")
 def cell() -> CellParams:
     return CellParams.load("lgm50_chen2020")
+
+
+@pytest.fixture(scope="session")
+def third_party() -> Path:
+    """The folder of measured cells, DBCs and logs that are not ours to ship; without it the test is skipped by name."""
+    folder = os.environ.get(DATA_FOLDER)
+    if folder is None:
+        pytest.skip(f"{DATA_FOLDER} is not set: no third-party data to try this on")
+    return Path(folder)
 
 
 class Ended(NamedTuple):

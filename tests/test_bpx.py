@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 
 from bms_ukf import bpx
 from bms_ukf.errors import ConfigError
-from bms_ukf.manifest import DATA_FOLDER
 
 
 def electrodes() -> dict[str, Any]:
@@ -69,9 +67,8 @@ def test_json_that_is_no_bpx_is_refused(tmp_path: Path, content: Any) -> None:
         bpx.open_circuit(save(tmp_path / "a.json", content))
 
 
-@pytest.mark.skipif(DATA_FOLDER not in os.environ, reason=f"{DATA_FOLDER} is not set: no published files to read")
-def test_published_files_reach_their_own_voltage_limits() -> None:
-    folder = Path(os.environ[DATA_FOLDER]) / "parameters" / "bpx"
+def test_published_files_reach_their_own_voltage_limits(third_party: Path) -> None:
+    folder = third_party / "parameters" / "bpx"
     for name in ("lfp_18650_cell_BPX", "nmc_pouch_cell_BPX", "nmc_pouch_cell_BPX_SPM"):
         cell = json.loads((folder / f"{name}.json").read_text())["Parameterisation"]["Cell"]
         _, voltage_V = bpx.open_circuit(folder / f"{name}.json")

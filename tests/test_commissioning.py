@@ -6,7 +6,6 @@ import csv
 import functools
 import itertools
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -130,12 +129,9 @@ def test_a_pack_is_judged_by_one_cell_and_by_another_if_that_is_silent(cell: Cel
 
 
 @pytest.fixture
-def leaf() -> list[tuple[float, float, float]]:
+def leaf(third_party: Path) -> list[tuple[float, float, float]]:
     """Time, current and voltage of a real vehicle's drive of 19 s at 100 Hz; its current is positive on charge."""
-    folder = os.environ.get("BMS_UKF_DATA")
-    if folder is None:
-        pytest.skip("BMS_UKF_DATA is not set: the recording of a Nissan Leaf was not judged")
-    with (Path(folder) / "can" / "leaf_ZE1_62kWh_EV-CANeplus2.decoded_1DB.csv").open() as table:
+    with (third_party / "can" / "leaf_ZE1_62kWh_EV-CANeplus2.decoded_1DB.csv").open() as table:
         rows = [
             tuple(float(row[k]) for k in ("t_s", "pack_current_A", "pack_voltage_V")) for row in csv.DictReader(table)
         ]

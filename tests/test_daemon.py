@@ -441,24 +441,18 @@ def test_a_current_of_the_wrong_sign_is_told_on_the_bus_and_not_passed_as_ok(cel
         assert told[-1].status is not Status.OK
 
 
-def test_the_offset_learnt_with_open_contactors_is_published(cell):
+@pytest.mark.parametrize(("reading_A", "bias_A", "within_A"), [(0.12, 0.12, 0.015), (5.0, 0.0, 0.2)])
+def test_behind_open_contactors_a_small_reading_is_published_as_offset_and_a_large_one_counts(
+    cell, reading_A, bias_A, within_A
+):
     with rig_of(cell) as rig:
         rig.daemon.intake = Intake(rig.decoder, OpenCircuit(limit_A=0.5))
         rig.decoder.contactor.is_open = True
         for k in range(1, 60):
             rig.decoder.contactor.t_ns = k * SECOND_NS
-            rig.feed(Sample(k * SECOND_NS, 0.12, 3.7, 25.0))
-        assert signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"] == pytest.approx(0.12, abs=0.015)
-
-
-def test_a_current_that_flows_through_contactors_said_to_be_open_still_counts(cell):
-    with rig_of(cell) as rig:
-        rig.daemon.intake = Intake(rig.decoder, OpenCircuit(limit_A=0.5))
-        rig.decoder.contactor.is_open = True
-        for k in range(1, 60):
-            rig.decoder.contactor.t_ns = k * SECOND_NS
-            rig.feed(Sample(k * SECOND_NS, 5.0, 3.7, 25.0))
-        assert abs(signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"]) < 0.2
+            rig.feed(Sample(k * SECOND_NS, reading_A, 3.7, 25.0))
+        published = signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"]
+        assert published == pytest.approx(bias_A, abs=within_A)
 
 
 def test_signals_that_arrive_late_are_estimated_as_if_they_did_not(cell, samples):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from bms_ukf import CellParams, Estimator, Sample
 from bms_ukf.cli import main
 from bms_ukf.ecm_tables import import_cell
 from bms_ukf.errors import ConfigError
-from bms_ukf.manifest import DATA_FOLDER
 
 TEMPERATURES, CURRENTS_A, SOC = (0.0, 25.0), (-40.0, -20.0, 0.0, 20.0, 40.0), (0.0, 0.5, 1.0)
 
@@ -124,9 +122,8 @@ def test_the_command_writes_the_cell_and_refuses_bpx(
     assert "ocv_table" in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.skipif(DATA_FOLDER not in os.environ, reason=f"{DATA_FOLDER} is not set: no published tables to read")
-def test_pybamm_s_example_imports_within_two_percent(tmp_path: Path) -> None:
-    folder = Path(os.environ[DATA_FOLDER]) / "parameters" / "pybamm_ecm_example"
+def test_pybamm_s_example_imports_within_two_percent(tmp_path: Path, third_party: Path) -> None:
+    folder = third_party / "parameters" / "pybamm_ecm_example"
     text = import_cell([folder], name="x", chemistry="?", capacity_Ah=100.0, voltage_limits_V=(3.2, 4.2))
     (tmp_path / "cell.toml").write_text(text)
     cell = CellParams.load(tmp_path / "cell.toml")

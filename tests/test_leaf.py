@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from bms_ukf.bus import SafeBus
 from bms_ukf.config import Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.node import EstimateDecoder
+from bms_ukf.replay.logs import LogClock
 from bms_ukf.skeleton import propose
 
 LEAF_E2E = """
@@ -47,34 +47,13 @@ class Recording:
         """Nothing to close."""
 
 
-class LogClock:
-    """The time of a log is that of its stamps."""
-
-    steps = 0
-
-    def __init__(self) -> None:
-        self._t_ns = 0
-
-    def at(self, stamp_s: float) -> int:
-        self._t_ns = round((stamp_s - 1.7e9) * 1e9)
-        return self._t_ns
-
-    def now(self) -> int:
-        return self._t_ns
-
-    advance = now
-
-
 @pytest.fixture
-def leaf(tmp_path: Path) -> tuple[Setup, Path]:
-    folder = os.environ.get("BMS_UKF_DATA")
-    if folder is None:
-        pytest.skip("BMS_UKF_DATA is not set: the recording of a Nissan Leaf was not driven")
-    text, _ = propose([Path(folder) / "can" / "EV-can_ZE1.dbc"], tmp_path / "can.toml")
+def leaf(tmp_path: Path, third_party: Path) -> tuple[Setup, Path]:
+    text, _ = propose([third_party / "can" / "EV-can_ZE1.dbc"], tmp_path / "can.toml")
     text = re.sub(r"^# (current_positive = \S+|series_cells = \d+)", r"\1", text, flags=re.MULTILINE)
     text = text.replace("# capacity_scale = 1.0", "capacity_scale = 34.0")
     (tmp_path / "can.toml").write_text(text + LEAF_E2E)
-    return Setup.load(tmp_path / "can.toml"), Path(folder) / "can" / "leaf_ZE1_62kWh_EV-CANeplus2.candump.log"
+    return Setup.load(tmp_path / "can.toml"), third_party / "can" / "leaf_ZE1_62kWh_EV-CANeplus2.candump.log"
 
 
 def driven(setup: Setup, log: Path, without: str) -> tuple[Daemon, list[Estimate]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from bms_ukf import identify
 from bms_ukf.cell import CellParams
 from bms_ukf.identify import openloop
-from bms_ukf.manifest import DATA_FOLDER, Manifest
+from bms_ukf.manifest import Manifest
 from bms_ukf.score import score
 
 CELLS = Path(__file__).resolve().parents[1] / "models" / "cells"
@@ -24,9 +23,7 @@ GATES_MV = {
 }
 
 
-@pytest.mark.skipif(
-    DATA_FOLDER not in os.environ, reason=f"{DATA_FOLDER} is not set: no measured tests to compare with"
-)
+@pytest.mark.usefixtures("third_party")
 @pytest.mark.parametrize("name", sorted(GATES_MV))
 def test_a_shipped_cell_predicts_the_voltage_of_tests_never_fitted(name: str) -> None:
     path = CELLS / "manifests" / f"{name}.toml"
@@ -50,9 +47,7 @@ SOC_GATES_PCT = {
 }
 
 
-@pytest.mark.skipif(
-    DATA_FOLDER not in os.environ, reason=f"{DATA_FOLDER} is not set: no measured tests to compare with"
-)
+@pytest.mark.usefixtures("third_party")
 @pytest.mark.parametrize("name", sorted(SOC_GATES_PCT))
 def test_soc_on_tests_never_fitted_is_right_and_its_error_bar_true(name: str) -> None:
     cell = CellParams.load(CELLS / f"{name}.toml")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -141,11 +140,8 @@ def test_more_cells_than_the_matrix_has_are_refused() -> None:
 
 
 @pytest.fixture
-def leaf() -> Path:
-    folder = os.environ.get("BMS_UKF_DATA")
-    if folder is None:
-        pytest.skip("BMS_UKF_DATA is not set: the recording of a Nissan Leaf was not read")
-    return Path(folder) / "can"
+def leaf(third_party: Path) -> Path:
+    return third_party / "can"
 
 
 def test_a_nissan_leaf_recording_is_read_as_its_publishers_read_it(leaf: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import tomllib
 from pathlib import Path
@@ -112,11 +111,8 @@ def filled_in(text: str) -> str:
 
 
 @pytest.fixture
-def vehicles() -> Path:
-    folder = os.environ.get("BMS_UKF_DATA")
-    if folder is None:
-        pytest.skip("BMS_UKF_DATA is not set: the DBCs of three vehicles were not tried")
-    return Path(folder) / "can"
+def vehicles(third_party: Path) -> Path:
+    return third_party / "can"
 
 
 @pytest.mark.parametrize(
