@@ -261,7 +261,7 @@ def test_no_traceback_from_a_process_of_its_own(tmp_path):
 
 def outside() -> dict[str, str]:
     """The environment of a process that runs elsewhere, but finds this checkout."""
-    return os.environ | {"PYTHONPATH": str(Path(cli.__file__).parents[1])}
+    return os.environ | {"PYTHONPATH": str(Path(cli.__file__).parents[2])}
 
 
 # --- inspection -----------------------------------------------------------------------------------------------------
