@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from can import BusABC, Message
+from daemon_process import DaemonProcess
 from e2e.crc import calculate_crc8_h2f
 from model_cell import ModelCell
 
@@ -46,22 +44,14 @@ def test_any_vehicles_frames_go_in_and_soc_comes_out_at_a_steady_rate(vcan, cand
     text = text.replace('"on_update"', '"periodic"').replace('"can0"', f'"{vcan.channel}"')
     (tmp_path / "can.toml").write_text(text)
     (tmp_path / "example.dbc").write_bytes((ROOT / "models" / "configs" / "example.dbc").read_bytes())
-    log = tmp_path / "stderr.log"
-    with log.open("wb") as stderr:
-        command = [sys.executable, "-m", "bms_ukf", "run", "can.toml"]
-        daemon = subprocess.Popen(command, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=stderr)
-    deadline = time.monotonic() + 60.0
-    while "running: " not in log.read_text():
-        assert daemon.poll() is None, log.read_text()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    with vcan.bus() as bus:
+    with DaemonProcess(tmp_path / "can.toml") as daemon, vcan.bus() as bus:
+        daemon.begin()
         drive(bus, battery, scans=60)
-    answers = candump.frames(at_least=50, ids={SOC_ESTIMATE})
-    daemon.send_signal(signal.SIGTERM)
-    assert daemon.wait(20.0) == 0, log.read_text()
+        answers = candump.frames(at_least=50, ids={SOC_ESTIMATE})
+        daemon.end(signal.SIGTERM)
+        assert daemon.process.returncode == 0, daemon.said()
     gaps_s = np.diff([frame.timestamp_us for frame in answers[-45:-5]]) * 1e-6
     assert 0.8 * PERIOD_S < np.median(gaps_s) < 3 * PERIOD_S, "a guest on a busy machine is late, and never early"
     soc = int.from_bytes(answers[-3].data[2:4], "little") * 0.0025 / 100
-    assert answers[-3].data[1] >> 4 == 1, f"status ok: {log.read_text()}"
+    assert answers[-3].data[1] >> 4 == 1, f"status ok: {daemon.said()}"
     assert soc == pytest.approx(battery.soc, abs=0.02)
