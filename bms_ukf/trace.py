@@ -116,22 +116,26 @@ class Trace:
         self._words[row] = estimate.status, estimate.faults
         self._n = row + 1
 
+    def columns(self) -> dict[str, NDArray[np.float64] | list[str]]:
+        """What a file holds, by column: `time_s`, numbers as they are, `status` and `faults` in words."""
+        optional = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
+        words: dict[str, NDArray[np.float64] | list[str]] = {
+            "status": [Status(value).word for value in self.status.tolist()],
+            "faults": [_fault_words(value) for value in self.faults.tolist()],
+        }
+        estimated = {name: self[name] for name in _ESTIMATED}
+        return {"time_s": self.t_ns / 1e9} | estimated | words | {name: self[name] for name in optional}
+
     def write_csv(self, path: Path) -> None:
         """Write all rows, numbers with 9 significant digits. Raises ConfigError if `path` cannot be written."""
-        optional = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
-        names = ["time_s", *_ESTIMATED, "status", "faults", *optional]
-        columns = [
-            [f"{t_s:.15g}" for t_s in (self.t_ns / 1e9).tolist()],
-            *(_texts(self[name]) for name in _ESTIMATED),
-            [Status(value).word for value in self.status.tolist()],
-            [_fault_words(value) for value in self.faults.tolist()],
-            *(_texts(self[name]) for name in optional),
-        ]
+        columns = self.columns()
+        time_s = [f"{t_s:.15g}" for t_s in np.asarray(columns.pop("time_s")).tolist()]
+        texts = [values if isinstance(values, list) else _texts(values) for values in columns.values()]
         try:
             with path.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(names)
-                writer.writerows(zip(*columns, strict=True))
+                writer.writerow(["time_s", *columns])
+                writer.writerows(zip(time_s, *texts, strict=True))
         except OSError as error:
             raise ConfigError(path, expected=f"a file that can be written ({error.strerror})") from None
 

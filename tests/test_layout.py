@@ -77,7 +77,8 @@ MAY_IMPORT = {
 # The only modules that may know of a library.
 KNOWN_TO = {
     "numba": {"identify", "kernel", "offline"},
-    "pyarrow": {"recordings"},
+    "pyarrow": {"recordings", "replay"},
+    "distributed": {"replay"},
     "llvmlite": {"kernel"},
     "fmpy": {"fmu", "plant"},
     "cantools": CODEC | {"candidates", "monitor", "skeleton"},

@@ -75,7 +75,9 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 @click.option("--json", "json_path", type=PATH, help="Write the summary here.")
 @click.option("--report", type=PATH, help="Write a page with plots here.")
 @click.option("--diff", metavar="CELL2", help="Run another cell file, too, and compare.")
-@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Recordings run at a time.")
+@click.option("--format", "form", type=click.Choice(["csv", "parquet"]), help="Of --out.  [csv; a cluster: parquet]")
+@click.option("--jobs", type=click.IntRange(1), help="Recordings run at a time.  [default: as many as cores]")
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that is to run them.")
 def replay_(
     inputs: tuple[Path, ...],
     cell: str | None,
@@ -84,16 +86,19 @@ def replay_(
     json_path: Path | None,
     report: Path | None,
     diff: str | None,
-    jobs: int,
+    form: str | None,
+    jobs: int | None,
+    scheduler: str | None,
     **options: Any,
 ) -> None:
     """Re-run the estimator over recordings, CSV, Parquet or CAN logs: files, or folders of them.
 
-    With several, --out, --json and --report name folders.
+    With several, --out, --json and --report name folders. Results in Parquet that are there already are kept.
     """
     from bms_ukf.replay import command
 
-    mistakes = command.replay(inputs, cell, config, command.Places(out, json_path, report), diff, jobs, options)
+    means = command.Means(jobs, scheduler, (form or ("csv" if scheduler is None else "parquet")) == "parquet")
+    mistakes = command.replay(inputs, cell, config, command.Places(out, json_path, report), diff, means, options)
     for mistake in mistakes:
         click.echo(f"bms-ukf: {mistake}", err=True)
     if mistakes:

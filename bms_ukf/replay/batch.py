@@ -1,18 +1,16 @@
-"""`bms-ukf replay`: which recordings, what is written of each, and how many are run at a time."""
+"""`bms-ukf replay`: which recordings, what is run of each, and what is written."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
-from bms_ukf.replay import rerun
+from bms_ukf.replay import rerun, results
 from bms_ukf.replay.rerun import CAN_LOGS, FLIGHT, RECORDINGS, Options
 from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
@@ -40,6 +38,7 @@ class Done:
     recording: Path
     summary: dict[str, Any] | None
     mistake: str | None = None
+    kept: bool = False  # from an earlier run
 
 
 def recordings(given: Sequence[Path], suffixes: tuple[str, ...] = RECORDINGS) -> list[Path]:
@@ -84,22 +83,21 @@ def places(folder: Path | None, suffix: str, found: Sequence[Path], *, several: 
     return [folder / f"{stem(path)}{suffix}" for path in found]
 
 
-def run(jobs: Sequence[Job], workers: int) -> Iterator[Done]:
-    """Results in the order of the jobs, as they come."""
-    if workers == 1 or len(jobs) == 1:
-        yield from map(work, jobs)
-        return
-    # Forked processes would share the locks of a compiler that runs threads.
-    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn")) as pool:
-        yield from pool.map(work, jobs)
-
-
 def work(job: Job) -> Done:
-    """Run one recording and write what is asked for. A mistake in it is returned: the others are to go on."""
+    """Run one recording and write what is asked for. Whatever is wrong with it is returned: the others are to go on.
+
+    A result in Parquet that this very job has made before is kept.
+    """
     try:
-        return Done(job.recording, _work(job))
+        if job.out is None or job.out.suffix != results.SUFFIX:
+            return Done(job.recording, _work(job))
+        key = results.key(job)
+        summary = results.kept(job.out, key)
+        return Done(job.recording, _work(job, key)) if summary is None else Done(job.recording, summary, kept=True)
     except ConfigError as error:
         return Done(job.recording, None, str(error))
+    except Exception as error:
+        return Done(job.recording, None, f"{job.recording}: {type(error).__name__}: {error}")
 
 
 def _runner(job: Job) -> Callable[[CellParams | None], tuple[Trace, dict[str, Any]]]:
@@ -121,7 +119,7 @@ def _runner(job: Job) -> Callable[[CellParams | None], tuple[Trace, dict[str, An
     return lambda cell: rerun.rerun(recording, cell or given, job.options, job.tuning)
 
 
-def _work(job: Job) -> dict[str, Any]:
+def _work(job: Job, key: str = "") -> dict[str, Any]:
     run = _runner(job)
     trace, summary = run(job.cell)
     more: list[Any] = []
@@ -132,7 +130,9 @@ def _work(job: Job) -> dict[str, Any]:
             from bms_ukf.report import diff_plot
 
             more = [diff_plot.render(trace, second, (summary["cell"], job.other.cell.name))]
-    if job.out is not None:
+    if job.out is not None and key:
+        results.write(job.out, trace, summary, key)
+    elif job.out is not None:
         trace.write_csv(job.out)
     if job.json is not None:
         try:

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
-from bms_ukf.replay import batch, view
+from bms_ukf.replay import batch, results, view, workers
 from bms_ukf.replay.rerun import CAN_LOGS, FLIGHT, RECORDINGS, Options
 from bms_ukf.tuning import Tuning
 
@@ -24,13 +24,21 @@ class Places(NamedTuple):
     report: Path | None
 
 
+class Means(NamedTuple):
+    """Who runs the recordings, and what is written of each."""
+
+    jobs: int | None  # processes; None: one for each core
+    scheduler: str | None  # of a Dask cluster
+    parquet: bool
+
+
 def replay(
     given: Sequence[Path],
     cell: str | None,
     config: Path | None,
     places: Places,
     diff: str | None,
-    workers: int,
+    means: Means,
     options: dict[str, Any],
 ) -> list[str]:
     """Run all recordings, show what came of them and return the line of each that could not be run.
@@ -45,7 +53,9 @@ def replay(
     loaded = None if cell is None else CellParams.load(cell)
     other = None if diff is None else CellParams.load(diff)
     tuning = Tuning() if config is None else _tuning(config)
-    suffixes = (".csv", ".json", ".html")
+    if means.parquet and places.out is None:
+        raise ConfigError("--out", expected="where the results are to go, and stay for a run that resumes")
+    suffixes = (results.SUFFIX if means.parquet else ".csv", ".json", ".html")
     targets = [
         batch.places(place, suffix, found, several=several) for place, suffix in zip(places, suffixes, strict=True)
     ]
@@ -53,11 +63,11 @@ def replay(
         batch.Job(path, loaded, other, Options(**options), tuning, config, *target)
         for path, *target in zip(found, *targets, strict=True)
     ]
-    done = []
-    with Console(stderr=True).status("replay") as status:
-        for result in batch.run(jobs, workers):
-            done.append(result)
-            status.update(f"replay: {len(done)} of {len(jobs)}")
+    if means.scheduler is not None:
+        coming = workers.cluster(jobs, means.scheduler)
+    else:
+        coming = workers.here(jobs, means.jobs or workers.cores())
+    done = sorted(view.followed(coming, len(jobs)), key=lambda result: found.index(result.recording))
     view.show(done, Console())
     return [result.mistake for result in done if result.mistake is not None]
 

@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from bms_ukf.replay.batch import Done
 
 HEADER = ("recording", "cell", "rows", "SoC at the end", "RMSE", "max", "in band", "settled", "steps/s")
+
+
+def followed(coming: Iterable[Done], count: int) -> Iterator[Done]:
+    """The results as they come, with a bar that tells how many there are and when the last one is to be expected."""
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task, failed = progress.add_task("replay", total=count), 0
+        for result in coming:
+            failed += result.mistake is not None
+            progress.update(task, advance=1, description=f"replay, {failed} failed" if failed else "replay")
+            yield result
 
 
 def show(done: Sequence[Done], console: Console) -> None:
@@ -29,6 +42,8 @@ def show(done: Sequence[Done], console: Console) -> None:
             table.add_row("", "difference", "", "", *shown, style="dim")
     if table.row_count:
         console.print(table)
+    if kept := sum(found.kept for found in done):
+        console.print(f"{kept} of {len(done)} kept from an earlier run", style="dim", highlight=False)
     for found in done:
         for warning in [] if found.summary is None else found.summary["warnings"]:
             console.print(f"warning: {warning}", style="yellow", highlight=False)
