@@ -7,12 +7,11 @@ from typing import Any
 
 from bms_ukf.kernel import adapt
 from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import dynamics
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import tri
 from bms_ukf.kernel.memory import real
-
-VOLTAGE_ERROR_S = 1.0  # how long a fast voltage error lasts: the interval that [noise] of a cell file is derived at
 
 
 @inline

@@ -153,13 +153,18 @@ H_FRESH = 10  # 1: no voltage has been fused yet into this belief
 H_VOLTAGE_SCALE = 11  # variance of the fast voltage error, as a multiple of what the cell file says (`adapt`)
 H_R0_SCALE = 12  # r0, as a multiple of the cell file's
 H_R0_VAR = 13  # and the variance of that
-H_RESIDUAL = 14  # of the last voltage, after it was fused, V; NaN: it was not
-H_OHMIC = 15  # the ohmic drop then, by the cell file's r0, V
-H_STILL_A = 16  # the current that has not moved since
-H_STILL_S = 17  # so many s
-H_REST_A = 18  # what the current sensor showed at the last rest, A; NaN: there was none
-H_LOADED = 19  # 1: a load was seen since
-HELD = 20
+H_RESIDUAL = 14  # what the last voltage fused left of its innovation, V; NaN: there was none
+H_STILL_A = 15  # the current that has not moved since
+H_STILL_S = 16  # so many s
+H_REST_A = 17  # what the current sensor showed at the last rest, A; NaN: there was none
+H_LOADED = 18  # 1: a load was seen since
+H_OHMIC = 19  # ohmic drop by the cell file's r0, the mean of the last whole block (`adapt`), V
+H_DRIFT = 20  # how far the error of the prediction has moved from its mean there, V
+H_BLOCK_DRIFT = 21  # of the present block: sums over its voltages, their number, and its length in s
+H_BLOCK_OHMIC = 22
+H_BLOCK_COUNT = 23
+H_BLOCK_S = 24
+HELD = 25
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached

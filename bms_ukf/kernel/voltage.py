@@ -7,7 +7,7 @@ from typing import Any
 
 from bms_ukf.kernel import bias
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import between_rows, clamp, is_number, ocv_cubic, ocv_interval
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real
