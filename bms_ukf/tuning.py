@@ -33,6 +33,9 @@ class Tuning(Section):
     standby_current_A: NonNegative = 0.0
     standby_sigma_A: NonNegative | None = None  # None: C/2000
 
+    # One sigma of SoC between the cells of a pack: what is believed of a cell that has never been measured.
+    cell_spread_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.03
+
     # A current counts for no longer than this, so it must exceed the interval between samples.
     current_timeout_s: Positive = 5.0
     voltage_timeout_s: Positive = 5.0

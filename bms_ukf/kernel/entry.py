@@ -22,7 +22,7 @@ def tick(form: Form, bits: int) -> Callable[[int, int, int, int, float, float], 
     """tick(params, state, io, cells, dt, current) -> code: `step.step` of every cell under one current, A; dt >= 0 s.
 
     `io` has `layout.IO_ROWS` rows of `cells` numbers. Returns the faults of all cells together (`records.Fault`) and,
-    from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, else the worst.
+    from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, OK or INVALID if every cell's is.
     """
     n_rc, hysteresis, bias, core, lanes, compensated = form.variant
     copied, values = lanes * form.cache, lanes * layout.VALUES

@@ -1,0 +1,83 @@
+"""What each cell of an estimator has of its own: capacity, resistance, balancing, status."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bms_ukf import beliefs
+from bms_ukf.kernel import layout
+from bms_ukf.kernel.layout import Form
+from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
+
+Array = NDArray[np.float64]
+
+
+class PerCell:
+    """Arrays of shape (cells,), by the order of the cells; all that is read is a copy."""
+
+    __slots__ = ("_form", "_io", "_state", "cells")
+
+    _form: Form
+    _io: NDArray[Any]
+    _state: NDArray[Any]
+    cells: int
+
+    @property
+    def capacity_scale(self) -> Array:
+        """(cells,) capacity of each cell as a multiple of the cell file's, above 0; a copy. Part of a snapshot."""
+        return 1 / np.nan_to_num(beliefs.per_cell(self._state, layout.H_PER_CAPACITY, self.cells), nan=1.0)
+
+    @capacity_scale.setter
+    def capacity_scale(self, scale: ArrayLike) -> None:
+        beliefs.set_per_cell(self._state, layout.H_PER_CAPACITY, self.cells, 1 / _positive(scale))
+
+    @property
+    def resistance_scale(self) -> Array:
+        """(cells,) resistances of each cell as a multiple of the cell file's, above 0; a copy. Part of a snapshot.
+
+        It holds for r0 and the RC pairs. What the filter tracks of r0 comes on top, and is in `Estimate.r0_ohm`.
+        """
+        return np.nan_to_num(beliefs.per_cell(self._state, layout.H_RESISTANCE, self.cells), nan=1.0)
+
+    @resistance_scale.setter
+    def resistance_scale(self, scale: ArrayLike) -> None:
+        beliefs.set_per_cell(self._state, layout.H_RESISTANCE, self.cells, _positive(scale))
+        self._state[:, self._form.cache] = np.nan  # the cached table row has the old one in it
+
+    @property
+    def bleed_A(self) -> Array:
+        """(cells,) what balancing takes from each cell beside its string's current, A, positive = discharge; a copy.
+
+        It counts from the next sample on, until it is set again. NaN, as at the start: unknown, and taken as 0.
+        """
+        return np.array(self._io[layout.IN_BLEED], dtype=float)
+
+    @bleed_A.setter
+    def bleed_A(self, current: ArrayLike) -> None:
+        self._io[layout.IN_BLEED] = current
+
+    @property
+    def cell_status(self) -> NDArray[np.intp]:
+        """(cells,) `Status` of each cell after the last step, as numbers."""
+        status: NDArray[np.intp] = self._cell_codes() >> STATUS_SHIFT
+        return status
+
+    @property
+    def cell_faults(self) -> NDArray[np.intp]:
+        """(cells,) `Fault` bits of each cell after the last step, as numbers."""
+        faults: NDArray[np.intp] = self._cell_codes() & FAULT_MASK
+        return faults
+
+    def _cell_codes(self) -> NDArray[np.intp]:
+        codes: Array = np.nan_to_num(self._io[layout.OUT_CODE], nan=0.0)
+        return codes.astype(np.intp)
+
+
+def _positive(scale: ArrayLike) -> Array:
+    scales = np.asarray(scale, dtype=float)
+    if not (np.isfinite(scales).all() and (scales > 0).all()):
+        raise ValueError("a scale that is not finite and above 0")
+    return scales
