@@ -63,18 +63,13 @@ class Estimator(PerCell):
     """
 
     __slots__ = (
-        "_addresses",
         "_code",
-        "_heard_ns",
         "_params",
         "_row",
         "_tick",
         "accepted",
         "cell",
-        "precision",
         "t_ns",
-        "tuning",
-        "wiring",
     )
 
     def __init__(
@@ -100,6 +95,8 @@ class Estimator(PerCell):
         self._row: Any = memoryview(self._io[:, 0].data)  # a number in or out of it costs half of what an ndarray asks
         self._addresses = self._params.ctypes.data, self._state.ctypes.data, self._io.ctypes.data, cells
         self._tick = entry.tick(form, bits)
+        self._strings = aligned(cells, bits)
+        self._strings[:] = 0 if self.wiring.string_of is None else self.wiring.string_of
         self.reset()
 
     def reset(self) -> None:
@@ -107,7 +104,8 @@ class Estimator(PerCell):
         self._state[:] = np.nan
         self._io[:] = np.nan
         self.t_ns: int | None = None
-        self._heard_ns: int | None = None  # when the first of the cells was, while others are waited for
+        self._shared_ns = 0
+        self._heard_ns = None
         self._code = 0  # what the kernel said last
         self.accepted = 0  # samples that were not refused: what the alive counter on the bus follows
 
@@ -126,6 +124,22 @@ class Estimator(PerCell):
             if estimate.status is Status.OK:
                 estimate.status = Status.DEGRADED
             return estimate
+        current_A = self._take(sample)
+        code = self._tick(*self._addresses, dt, current_A)
+        if sample.open_circuit:
+            self._io[layout.IN_OFFSET] = math.nan
+        if self.cells > 1:
+            self._tend(sample.t_ns, code)
+        if not code & _NUMERIC:
+            self.accepted += 1
+        if not code & _NUMERIC or self.cells > 1:  # a refused step has not passed: the next one covers its time
+            self.t_ns = sample.t_ns
+        self._code = code
+        self._read(estimate, code)
+        return estimate
+
+    def _take(self, sample: Sample) -> float:
+        """Write what was measured where the kernel reads it; returns the current of all cells, NaN with strings."""
         if self.cells == 1:
             self._row[layout.IN_VOLTAGE], self._row[layout.IN_TEMPERATURE] = sample.voltage_V, sample.temperature_degC
         else:
@@ -142,18 +156,7 @@ class Estimator(PerCell):
             self._io[layout.IN_OFFSET] = self._io[layout.IN_CURRENT] if strings else current_A
             if not self._form.bias:
                 current_A, self._io[layout.IN_CURRENT] = 0.0, math.nan
-        code = self._tick(*self._addresses, dt, current_A)
-        if sample.open_circuit:
-            self._io[layout.IN_OFFSET] = math.nan
-        if self.cells > 1 and code >> STATUS_SHIFT == Status.INITIALISING:
-            self._start_silent(sample.t_ns)
-        if not code & _NUMERIC:
-            self.accepted += 1
-        if not code & _NUMERIC or self.cells > 1:  # a refused step has not passed: the next one covers its time
-            self.t_ns = sample.t_ns
-        self._code = code
-        self._read(estimate, code)
-        return estimate
+        return current_A
 
     def coast(self, t_ns: int, out: Estimate | None = None) -> Estimate:
         """Advance to `t_ns` with nothing measured. It does not count as accepted: nothing was."""
@@ -225,14 +228,6 @@ class Estimator(PerCell):
             self.t_ns, self._code = int(time[-1]), int(code[-1])
             self.accepted += int(np.count_nonzero(faults & _NUMERIC == 0))
         return {"t_ns": time, **results, "status": status, "faults": faults}
-
-    def _start_silent(self, t_ns: int) -> None:
-        """Where some cells have been heard and others, for a voltage's timeout since, were not: predict these, too."""
-        if self._heard_ns is None and beliefs.alive(self._form, self._state, self.cells).any():
-            self._heard_ns = t_ns
-        waited_s = 0.0 if self._heard_ns is None else (t_ns - self._heard_ns) * 1e-9
-        if waited_s >= self.tuning.voltage_timeout_s:
-            beliefs.start_silent(self._form, self._state, self.cells, self.tuning.cell_spread_sigma, waited_s)
 
     def snapshot(self) -> bytes:
         """All the estimator knows, for `restore`; valid for the same cell file, tuning and number of cells."""

@@ -8,22 +8,47 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bms_ukf import beliefs
-from bms_ukf.kernel import layout
+from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.layout import Form
+from bms_ukf.kernel.params import BITS, Precision
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
+from bms_ukf.records import Status
+from bms_ukf.tuning import Tuning
+from bms_ukf.wiring import Wiring
 
 Array = NDArray[np.float64]
+
+SHARE_NS = 60_000_000_000  # how often cells put together what they know of their sensor's offset, which is slow
 
 
 class PerCell:
     """Arrays of shape (cells,), by the order of the cells; all that is read is a copy."""
 
-    __slots__ = ("_form", "_io", "_state", "cells")
+    __slots__ = (
+        "_addresses",
+        "_form",
+        "_heard_ns",
+        "_io",
+        "_shared_ns",
+        "_state",
+        "_strings",
+        "cells",
+        "precision",
+        "tuning",
+        "wiring",
+    )
 
+    cells: int
+    precision: Precision
+    tuning: Tuning
+    wiring: Wiring
     _form: Form
     _io: NDArray[Any]
     _state: NDArray[Any]
-    cells: int
+    _strings: NDArray[Any]  # string of each cell, as the kernel's numbers
+    _addresses: tuple[int, int, int, int]  # of params, state and io; cells
+    _heard_ns: int | None  # when the first cell was, while others are waited for
+    _shared_ns: int  # when the cells last put together what they know of their sensor's offset
 
     @property
     def capacity_scale(self) -> Array:
@@ -74,6 +99,29 @@ class PerCell:
     def _cell_codes(self) -> NDArray[np.intp]:
         codes: Array = np.nan_to_num(self._io[layout.OUT_CODE], nan=0.0)
         return codes.astype(np.intp)
+
+    def _tend(self, t_ns: int, code: int) -> None:
+        """After a tick that gave `code`: what concerns cells together, now and then."""
+        if code >> STATUS_SHIFT == Status.INITIALISING:
+            self._start_silent(t_ns)
+        if self._form.bias and t_ns - self._shared_ns >= SHARE_NS:
+            self._share_bias(t_ns)
+
+    def _start_silent(self, t_ns: int) -> None:
+        """Where some cells have been heard and others, for a voltage's timeout since, were not: predict these, too."""
+        if self._heard_ns is None and beliefs.alive(self._form, self._state, self.cells).any():
+            self._heard_ns = t_ns
+        waited_s = 0.0 if self._heard_ns is None else (t_ns - self._heard_ns) * 1e-9
+        if waited_s >= self.tuning.voltage_timeout_s:
+            beliefs.start_silent(self._form, self._state, self.cells, self.tuning.cell_spread_sigma, waited_s)
+
+    def _share_bias(self, t_ns: int) -> None:
+        """Let the cells of each string agree on the offset of their one current sensor."""
+        self._shared_ns = t_ns
+        params, state, *_ = self._addresses
+        exchange = entry.exchange(self._form, BITS[self.precision])
+        for string in range(self.wiring.strings):
+            exchange(params, state, self._strings.ctypes.data, string, self.cells)
 
 
 def _positive(scale: ArrayLike) -> Array:

@@ -25,6 +25,9 @@ class Tuning(Section):
 
     current_offset_sigma_A: Positive | None = None  # None: C/50
     current_bias: bool = True  # estimate the offset as a state of the filter
+    # One sensor, many cells: how alike the errors are by which two cells of a string tell its offset. 1: no two cells
+    # know more than one.
+    bias_error_correlation: Annotated[float, Field(ge=0, le=1)] = 0.5
     current_gain_sigma: NonNegative = 0.01
     current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one
     voltage_sensor_sigma_V: NonNegative = 0.002

@@ -32,7 +32,7 @@ MAY_IMPORT = {
     "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
     "wiring": set(),
     "beliefs": {"kernel"},
-    "percell": {"beliefs", "kernel"},
+    "percell": {"beliefs", "kernel", "records", "tuning", "wiring"},
     "estimator": {"beliefs", "cell", "errors", "kernel", "percell", "records", "tuning", "wiring"},
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},

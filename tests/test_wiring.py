@@ -12,6 +12,7 @@ from bms_ukf.scaling import scaled
 NAN = float("nan")
 SECOND = 1_000_000_000
 SOC = 0.6
+APART = Tuning(current_bias=False)  # the cells do not tell each other of their sensor's offset
 OCV = float(CELL.ocv_V(SOC, 25.0))
 
 
@@ -30,7 +31,7 @@ def run(estimator: Estimator, steps: int, first: int = 0) -> Estimate:
 
 
 def test_a_cell_that_is_never_heard_does_not_hide_the_pack():
-    pack, whole = Estimator(CELL, 20), Estimator(CELL, 20)
+    pack, whole = Estimator(CELL, 20, APART), Estimator(CELL, 20, APART)
     for k in range(400):
         volts = np.full(20, voltage(k))
         shown = whole.step(Sample(k * SECOND, current(k), volts, 25.0))
@@ -61,7 +62,7 @@ def test_a_cell_that_is_heard_at_last_is_measured_from_then_on():
 
 def test_a_scan_in_parts_is_that_of_each_cell_alone():
     """Three cells take turns: a cell between its voltages is predicted, and as well known as one alone would be."""
-    pack, alone = Estimator(CELL, 3), Estimator(CELL)
+    pack, alone = Estimator(CELL, 3, APART), Estimator(CELL, tuning=APART)
     for k in range(90):
         volts = np.where(np.arange(3) == k % 3, voltage(k), NAN)
         estimate = pack.step(Sample(k * SECOND, current(k), volts, 25.0))
@@ -82,7 +83,7 @@ def test_a_cell_that_has_become_invalid_hides_itself_only():
 
 @pytest.mark.parametrize("parallel", [3.0, 0.5])
 def test_a_parallel_group_by_its_scales_is_the_larger_cell(parallel: float):
-    tuning = Tuning(current_offset_sigma_A=0.1, standby_sigma_A=0.0, initial_current_sigma_A=0.1, adaptive=False)
+    tuning = Tuning(current_bias=False, current_offset_sigma_A=0.1, initial_current_sigma_A=0.1, adaptive=False)
     group, cell = Estimator(CELL, 2, tuning), Estimator(scaled(CELL, parallel), tuning=tuning)
     group.capacity_scale, group.resistance_scale = parallel, 1 / parallel
     for k in range(300):

@@ -10,7 +10,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bms_ukf.kernel import ecm, layout
+from bms_ukf.kernel import ecm, layout, shared
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import entry
 from bms_ukf.kernel.layout import Form, form_at_compile_time
@@ -70,6 +70,22 @@ def replay(form: Form, bits: int) -> Callable[[int, int, int, int, int, int], in
         return policy.together(codes)
 
     return entry(replay, "int64(int64, int64, int64, int64, int64, int64)")
+
+
+@functools.cache
+def exchange(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
+    """exchange(params, state, string_of, string, cells): `shared.exchange`; `string_of` has `cells` numbers."""
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    copied, values = form.cache, layout.VALUES
+
+    def exchange(params: int, state: int, string_of: int, string: int, cells: int) -> None:
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        alone = form_at_compile_time(n_rc, hysteresis, bias, core, 1, compensated)
+        p, s, strings = pointer(params, bits), pointer(state, bits), pointer(string_of, bits)
+        w, y = vector(s, copied), vector(s, values)
+        shared.exchange(p, s, w, y, strings, string, cells, m, alone)
+
+    return entry(exchange, "void(int64, int64, int64, int64, int64)")
 
 
 class ThreeSteps(NamedTuple):

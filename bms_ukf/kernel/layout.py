@@ -118,7 +118,8 @@ P_ADAPT = 44  # 1: the innovations tell r0 and the size of the fast voltage erro
 P_EXCITED = 45  # a current that moves by more shows what r0 is, A
 P_OCV = 46  # the two table descriptors, see the T_* offsets
 P_DYN = 52
-PARAMS_HEADER = 58
+P_ALIKE = 58  # correlation of the cells' errors where they tell their current's offset
+PARAMS_HEADER = 59
 
 # A table descriptor: rows over temperature, knots over SoC, both uniform.
 T_OFFSET = 0  # where its numbers start in `params`
