@@ -34,6 +34,7 @@ MAY_IMPORT = {
     "beliefs": {"kernel"},
     "percell": {"beliefs", "kernel", "records", "tuning", "wiring"},
     "estimator": {"beliefs", "cell", "errors", "kernel", "percell", "records", "tuning", "wiring"},
+    "pack": {"beliefs", "cell", "estimator", "kernel", "pack", "records", "toml", "tuning"},
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
     "manifest": {"cell", "errors", "toml"},
@@ -91,7 +92,7 @@ KNOWN_TO = {
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.
 PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator", "filter"}
-PURE |= {"wiring", "beliefs", "percell"}
+PURE |= {"wiring", "beliefs", "percell", "pack"}
 IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
 
 SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]

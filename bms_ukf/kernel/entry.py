@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from bms_ukf.kernel import ecm, layout, shared
+from bms_ukf.kernel import limits as reach
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import entry
 from bms_ukf.kernel.layout import Form, form_at_compile_time
@@ -86,6 +87,32 @@ def exchange(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]
         shared.exchange(p, s, w, y, strings, string, cells, m, alone)
 
     return entry(exchange, "void(int64, int64, int64, int64, int64)")
+
+
+@functools.cache
+def limits(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
+    """limits(params, state, out, conditions, cells): `limits.limits`; LIMIT_ROWS rows of `cells` numbers in `out`."""
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+
+    def limits(params: int, state: int, out: int, conditions: int, cells: int) -> None:
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        p, s, a = pointer(params, bits), pointer(state, bits), pointer(conditions, bits)
+        reach.limits(p, s, pointer(out, bits), a, cells, m)
+
+    return entry(limits, "void(int64, int64, int64, int64, int64)")
+
+
+@functools.cache
+def energy(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
+    """energy(params, state, out, conditions, cells): `limits.energy`, into the row L_MEAN_V of `out`."""
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+
+    def energy(params: int, state: int, out: int, conditions: int, cells: int) -> None:
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        p, s, a = pointer(params, bits), pointer(state, bits), pointer(conditions, bits)
+        reach.energy(p, s, pointer(out, bits), a, cells, m)
+
+    return entry(energy, "void(int64, int64, int64, int64, int64)")
 
 
 class ThreeSteps(NamedTuple):
