@@ -30,7 +30,11 @@ MAY_IMPORT = {
     "cell": {"errors", "pchip", "records", "resources", "toml"},
     "tuning": {"errors", "toml"},
     "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
-    "estimator": {"cell", "errors", "kernel", "records", "tuning"},
+    "wiring": set(),
+    "beliefs": {"kernel"},
+    "percell": {"beliefs", "kernel", "records", "tuning", "wiring"},
+    "estimator": {"beliefs", "cell", "errors", "kernel", "percell", "records", "tuning", "wiring"},
+    "pack": {"beliefs", "cell", "estimator", "kernel", "pack", "records", "toml", "tuning"},
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
     "manifest": {"cell", "errors", "toml"},
@@ -89,6 +93,7 @@ KNOWN_TO = {
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.
 PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator", "filter"}
+PURE |= {"wiring", "beliefs", "percell", "pack"}
 IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
 
 SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]

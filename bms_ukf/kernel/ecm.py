@@ -26,6 +26,10 @@ from bms_ukf.kernel.layout import (
     C_KNOT,
     C_TEMPERATURE,
     C_VALUES,
+    D_KNEE,
+    D_R0,
+    D_R0_CHARGE,
+    D_RC1,
     OCV_COEFFICIENTS,
     P_DYN,
     P_OCV,
@@ -120,8 +124,12 @@ def _blend(p: Any, at: int, f: Any, channels: int) -> tuple[Any, Any]:
 
 
 @inline
-def cache_dynamics(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any) -> None:
-    """Fill the cache of the record at `o`: within its SoC interval, at its T, it gives what `dynamics` gives."""
+def cache_dynamics(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, resistance: Any) -> None:
+    """Fill the cache of the record at `o`: within its SoC interval, at its T, it gives what `dynamics` gives.
+
+    Of a cell with `resistance` times the resistances of the cell file: it drops at a current what the file's cell drops
+    at `resistance` times that current, so its knee comes as much earlier.
+    """
     row_at, f = between_rows(p, P_DYN, T)
     k, _ = dynamics_knot(p, soc)
     at = int(row_at) + int(k) * m.channels
@@ -130,6 +138,11 @@ def cache_dynamics(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any) -> None:
     s[c + m.lanes * C_TEMPERATURE] = T
     for channel in range(m.channels):
         value, rise = _blend(p, at + channel, f, m.channels)
+        r_j = (channel >= D_RC1) & (channel < D_RC1 + 2 * m.n_rc) & ((channel - D_RC1) % 2 == 0)
+        times = resistance if r_j | (channel == D_R0) | (channel == D_R0_CHARGE) else real(p, 1)
+        times = real(p, 1) / resistance if channel == D_KNEE else times
+        value *= times
+        rise *= times
         s[c + m.lanes * (C_VALUES + 2 * channel)] = value
         s[c + m.lanes * (C_VALUES + 2 * channel + 1)] = rise
 

@@ -85,6 +85,7 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     unseen_A = 0.0 if tuning.current_bias else offset_A
     p[k.P_BIAS_SIGMA], p[k.P_BIAS_TAU] = offset_A, tuning.current_error_horizon_s
     p[k.P_CURRENT_OFFSET] = unseen_A
+    p[k.P_ALIKE] = tuning.bias_error_correlation
     p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 400, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
     p[k.P_SOC_WALK_GAIN] = (tuning.current_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
