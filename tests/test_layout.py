@@ -30,6 +30,7 @@ MAY_IMPORT = {
     "cell": {"errors", "pchip", "records", "resources", "toml"},
     "tuning": {"errors", "toml"},
     "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
+    "firmware": {"__version__", "cell", "errors", "firmware", "kernel", "records", "tuning"},
     "estimator": {"cell", "errors", "kernel", "records", "tuning"},
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
@@ -78,7 +79,7 @@ MAY_IMPORT = {
 KNOWN_TO = {
     "numba": {"identify", "kernel", "offline"},
     "pyarrow": {"recordings"},
-    "llvmlite": {"kernel"},
+    "llvmlite": {"firmware", "kernel"},
     "fmpy": {"fmu", "plant"},
     "cantools": CODEC | {"candidates", "monitor", "skeleton"},
     "fastcrc": {"e2e"},
