@@ -116,7 +116,7 @@ class Estimator(PerCell):
         """
         estimate = self._blank() if out is None else out
         last_ns = self.t_ns
-        dt = 0.0 if last_ns is None else (sample.t_ns - last_ns) * 1e-9
+        dt = 0.0 if last_ns is None else (sample.t_ns - last_ns) / 1e9
         if dt < 0.0:
             self._read(estimate, self._code)
             self._clear_comparison(estimate)
@@ -207,7 +207,7 @@ class Estimator(PerCell):
         if time.ndim != 1 or any(column.shape != time.shape for column in columns):
             raise ValueError("t_ns, current_A, voltage_V and temperature_degC as arrays of one length")
         before = time[:1] if self.t_ns is None else [self.t_ns]
-        dt = np.diff(time, prepend=before) * 1e-9
+        dt = np.diff(time, prepend=before) / 1e9
         if (dt < 0).any():
             raise ValueError(f"t_ns runs backwards at row {int(np.argmax(dt < 0))}")
         dtype = self._io.dtype

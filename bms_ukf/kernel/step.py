@@ -15,7 +15,7 @@ from bms_ukf.kernel import adapt, belief, bias, inputs, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
-from bms_ukf.kernel.memory import real
+from bms_ukf.kernel.memory import real, whole
 from bms_ukf.records import Fault, Status
 
 NUMERIC = float(Fault.NUMERIC)
@@ -221,9 +221,9 @@ def commit(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> int:
         s[o + place] = w[place]
     faults, seen = 0, 0
     for c in range(lanes):
-        code = int(y[W * k.Y_CODE + c])
+        code = whole(y[W * k.Y_CODE + c])
         faults |= code & FAULT_MASK
-        seen |= 1 << (code >> STATUS_SHIFT)
+        seen |= 1 << (code >> STATUS_SHIFT & 3)  # of 4: a shift by any number of 64 bits is a call on 32-bit machines
     return faults | seen << STATUS_SHIFT
 
 
