@@ -10,6 +10,7 @@ import logging
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bms_ukf.cell import CellParams
 from bms_ukf.records import Fault, Sample
@@ -46,7 +47,8 @@ class Commissioning:
         temperature_degC = temperature if isinstance(temperature, float) else float(temperature[0])
         if math.isfinite(temperature_degC):
             self._temperature_degC = temperature_degC
-        voltage_V = self._voltage(sample)
+        voltage = sample.voltage_V
+        voltage_V = voltage if isinstance(voltage, float) else self._voltage(sample.t_ns, voltage)
         if not (math.isfinite(voltage_V) and math.isfinite(self._current_A)):
             return
         last = self._last
@@ -57,12 +59,9 @@ class Commissioning:
         if last is not None and apart_s <= SPACING_S[1]:
             self._add(self._current_A - last[1], voltage_V - last[2])
 
-    def _voltage(self, sample: Sample) -> float:
+    def _voltage(self, t_ns: int, voltage: NDArray[np.float64]) -> float:
         """That of one cell, always the same one unless it is heard no more."""
-        voltage = sample.voltage_V
-        if isinstance(voltage, float):
-            return voltage
-        if math.isnan(voltage[self._index]) and self._silent(sample.t_ns):
+        if math.isnan(voltage[self._index]) and self._silent(t_ns):
             self._index, self._last = int(np.argmin(np.isnan(voltage))), None
         return float(voltage[self._index])
 

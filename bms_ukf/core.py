@@ -79,7 +79,8 @@ class Core:
         """How long to wait for a frame before `idle` is due."""
         if not self._periodic or self._due_after_ns is None:
             return PATIENCE_NS
-        return min(max(self._published_ns + self._due_after_ns - now_ns, 0), PATIENCE_NS)
+        left_ns = self._published_ns + self._due_after_ns - now_ns
+        return PATIENCE_NS if left_ns > PATIENCE_NS else left_ns if left_ns > 0 else 0
 
     def _adopt(self, intake: Intake, pace: Pace) -> None:
         self.intake = intake
@@ -150,9 +151,11 @@ class _Recent:
 
 def _is_empty(sample: Sample) -> bool:
     """Whether nothing was measured."""
-    return not (_measured(sample.current_A) or _measured(sample.voltage_V) or _measured(sample.temperature_degC))
+    if sample.current_A == sample.current_A:  # noqa: PLR0124 - not NaN, in a fraction of the time
+        return False
+    return not (_measured(sample.voltage_V) or _measured(sample.temperature_degC))
 
 
 def _measured(values: PerCell) -> bool:
-    known = values == values  # noqa: PLR0124 - not NaN, in a fraction of the time
-    return known if isinstance(known, bool) else bool(known.any())
+    known = values == values  # noqa: PLR0124
+    return known if known is True or known is False else bool(np.any(known))

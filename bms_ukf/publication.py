@@ -35,7 +35,7 @@ class Publication:
         self.detail = Detail()
         self.slew_per_s = slew_per_s
         self._capacity_As = capacity_Ah * 3600.0
-        self._held: dict[str, PerCell] = {}
+        self._held: tuple[PerCell, ...] | None = None  # of _COMPARED
         self._passed = 0
         self._load_ns: int | None = None  # when there last was one, or might have been
         self._current_ns: int | None = None
@@ -63,12 +63,12 @@ class Publication:
 
     def complete(self, estimate: Estimate, t_ns: int, shown: int = 0) -> Detail:
         """Write what the steps since the last set said into `estimate`, with the fault bits `shown`; returns the rest."""
-        for name, values in self._held.items():
+        for name, values in zip(_COMPARED, self._held or (), strict=False):
             if isinstance(values, float):
                 setattr(estimate, name, values)
             else:
                 np.copyto(getattr(estimate, name), values, where=~np.isnan(values))
-        self._held = {}
+        self._held = None
         shown |= self._passed
         self._passed = 0
         if shown:
@@ -82,15 +82,14 @@ class Publication:
         innovation_V = estimate.innovation_V
         if isinstance(innovation_V, float):
             if not math.isnan(innovation_V):
-                held = (estimate.voltage_pred_V, innovation_V, estimate.nis)
-                self._held = dict(zip(_COMPARED, held, strict=True))
+                self._held = estimate.voltage_pred_V, innovation_V, estimate.nis
             return
         compared = ~np.isnan(innovation_V)
         if compared.any():
-            for name in _COMPARED:
-                values = getattr(estimate, name)
-                kept = self._held.setdefault(name, np.full(len(values), NAN))
-                np.copyto(kept, values, where=compared)  # type: ignore[arg-type]
+            if self._held is None:
+                self._held = tuple(np.full(len(innovation_V), NAN) for _ in _COMPARED)
+            for kept, name in zip(self._held, _COMPARED, strict=True):
+                np.copyto(kept, getattr(estimate, name), where=compared)  # type: ignore[arg-type]
 
     def _slew(self, estimate: Estimate, t_ns: int) -> None:
         available = estimate.status in _AVAILABLE

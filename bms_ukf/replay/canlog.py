@@ -39,10 +39,12 @@ def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Tra
     core, clock, told = Core(estimator, setup.intake(), setup.pace), LogClock(), _Published()
     core.witness = told
     begin_s = time.perf_counter()
-    for stamp_s, arbitration_id, is_extended_id, data, classic in frames(
-        path, setup.decoder.ids(), fd=setup.config.bus.fd
-    ):
-        while clock.due(stamp_s) - clock.now() > (patience_ns := max(core.patience_ns(clock.now()), LEAST_NS)):
+    log = frames(path, setup.decoder.ids(), fd=setup.config.bus.fd)
+    for stamp_s, arbitration_id, is_extended_id, data, classic in log:
+        while (silence_ns := clock.due(stamp_s) - clock.now()) > LEAST_NS:
+            patience_ns = max(core.patience_ns(clock.now()), LEAST_NS)
+            if silence_ns <= patience_ns:
+                break
             clock.wait(patience_ns)
             core.idle(clock.now())
         core.hear(arbitration_id, is_extended_id, data, clock.at(stamp_s), classic=classic)

@@ -89,28 +89,29 @@ class LogClock:
 
     def __init__(self) -> None:
         self.steps = 0
-        self._stamp_ns: int | None = None
+        self._begin_ns: int | None = None  # the stamp of time 0
         self._t_ns = 0
 
     def due(self, stamp_s: float) -> int:
         """When a frame stamped `stamp_s` is received; it moves nothing."""
-        if self._stamp_ns is None:
-            return self._t_ns
-        return self._t_ns + max(round(stamp_s * 1e9) - self._stamp_ns, 0)
+        t_ns = self._t_ns
+        due_ns = t_ns if self._begin_ns is None else round(stamp_s * 1e9) - self._begin_ns
+        return due_ns if due_ns > t_ns else t_ns
 
     def at(self, stamp_s: float) -> int:
         stamp_ns = round(stamp_s * 1e9)
-        if self._stamp_ns is not None and stamp_ns < self._stamp_ns - TOLERANCE_NS:
+        if self._begin_ns is None:
+            self._begin_ns = stamp_ns - self._t_ns
+        t_ns = stamp_ns - self._begin_ns
+        if t_ns > self._t_ns:
+            self._t_ns = t_ns
+        elif t_ns < self._t_ns - TOLERANCE_NS:
             self.steps += 1
-            self._stamp_ns = stamp_ns
-        self._t_ns = self.due(stamp_s)
-        self._stamp_ns = stamp_ns if self._stamp_ns is None else max(self._stamp_ns, stamp_ns)
+            self._begin_ns = stamp_ns - self._t_ns
         return self._t_ns
 
     def wait(self, waited_ns: int) -> None:
         self._t_ns += waited_ns
-        if self._stamp_ns is not None:
-            self._stamp_ns += waited_ns
 
     def now(self) -> int:
         return self._t_ns
