@@ -57,10 +57,8 @@ class Core:
         if stored is Stored.USED:
             self.publication.detail.source = Source.STORED
 
-    def hear(
-        self, arbitration_id: int, is_extended_id: bool, data: bytes, t_ns: int, *, classic: bool = True
-    ) -> None:
-        """Handle a frame received at `t_ns`, as of `Inbox.decode`. A scan that is complete is answered by publishing."""
+    def hear(self, arbitration_id: int, is_extended_id: bool, data: bytes, t_ns: int, *, classic: bool = True) -> None:
+        """Handle a frame received at `t_ns`, as of `Inbox.decode`; a complete scan is answered by publishing."""
         samples = self.intake.take(arbitration_id, is_extended_id, data, t_ns, classic=classic)
         if samples:
             self._handle(samples)
@@ -151,11 +149,12 @@ class _Recent:
 
 def _is_empty(sample: Sample) -> bool:
     """Whether nothing was measured."""
-    if sample.current_A == sample.current_A:  # noqa: PLR0124 - not NaN, in a fraction of the time
+    if sample.current_A == sample.current_A:
         return False
     return not (_measured(sample.voltage_V) or _measured(sample.temperature_degC))
 
 
 def _measured(values: PerCell) -> bool:
-    known = values == values  # noqa: PLR0124
-    return known if known is True or known is False else bool(np.any(known))
+    if isinstance(values, float):
+        return values == values  # noqa: PLR0124
+    return bool((values == values).any())  # noqa: PLR0124

@@ -34,7 +34,7 @@ class Publication:
         """`slew_per_s` is how fast `soc_slewed` may be corrected, beyond the charge that has flowed."""
         self.detail = Detail()
         self.slew_per_s = slew_per_s
-        self._capacity_As = capacity_Ah * 3600.0
+        self._capacity_As, self._load_A = capacity_Ah * 3600.0, REST_C * capacity_Ah
         self._held: tuple[PerCell, ...] | None = None  # of _COMPARED
         self._passed = 0
         self._load_ns: int | None = None  # when there last was one, or might have been
@@ -46,23 +46,23 @@ class Publication:
         """Take note of a step."""
         faults = int(estimate.faults)  # the operators of an enumeration take as long as the filter's step
         self._passed |= faults & PASSING
-        current_A = sample.current_A
-        if math.isfinite(current_A):
-            last_ns, self._current_ns = self._current_ns, sample.t_ns
+        current_A, t_ns = abs(sample.current_A), sample.t_ns
+        if current_A < math.inf:
+            last_ns, self._current_ns = self._current_ns, t_ns
             if last_ns is not None:
-                self._moved += abs(current_A) * min((sample.t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
-            if abs(current_A) * 3600.0 > REST_C * self._capacity_As:
-                self._load_ns = sample.t_ns
+                self._moved += current_A * min((t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
+            if current_A > self._load_A:
+                self._load_ns = t_ns
         if faults & _CURRENT_MISSING or self._load_ns is None:
-            self._load_ns = sample.t_ns
+            self._load_ns = t_ns
         self._hold(estimate)
         if _fused(estimate.age_s) and estimate.status in _AVAILABLE:
             first = self.detail.source is Source.NONE
-            rested = sample.t_ns - self._load_ns >= REST_NS
+            rested = t_ns - self._load_ns >= REST_NS
             self.detail.source = Source.START if first else Source.REST if rested else Source.VOLTAGE
 
     def complete(self, estimate: Estimate, t_ns: int, shown: int = 0) -> Detail:
-        """Write what the steps since the last set said into `estimate`, with the fault bits `shown`; returns the rest."""
+        """Write what the steps since the last set said into `estimate`, with the fault bits `shown`; gives the rest."""
         for name, values in zip(_COMPARED, self._held or (), strict=False):
             if isinstance(values, float):
                 setattr(estimate, name, values)

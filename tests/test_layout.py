@@ -73,6 +73,8 @@ MAY_IMPORT = {
     "state": {"estimator", "records", "seldom", "slots"},
     "notify": set(),
     "commissioning": {"cell", "records"},
+    "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan"},
+    "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {

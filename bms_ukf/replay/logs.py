@@ -32,9 +32,7 @@ def frames(path: Path, ids: Collection[tuple[int, bool]], *, fd: bool = False) -
             for message in reader:
                 identity = message.arbitration_id, message.is_extended_id
                 if identity in wanted:
-                    classic = not (
-                        message.is_remote_frame or message.is_error_frame or (message.is_fd and not fd)
-                    )
+                    classic = not (message.is_remote_frame or message.is_error_frame or (message.is_fd and not fd))
                     yield message.timestamp, *identity, bytes(message.data), classic
     except (ImportError, NotImplementedError):
         raise ConfigError(path, expected="asammdf, which reads .mf4 (pip install 'bms-ukf[mf4]')") from None
@@ -50,7 +48,7 @@ def _candump(path: Path, ids: Collection[tuple[int, bool]], fd: bool) -> Iterato
     try:
         with path.open("rb") as file:
             while text := file.read(_CHUNK_BYTES) + file.readline():
-                text = text[: text.rfind(b"\n") + 1]  # noqa: PLW2901 - the last line of the file may be cut off
+                text = text[: text.rfind(b"\n") + 1]
                 if not text:
                     return
                 if not (text.startswith(b"(") and text.count(b"\n(") == text.count(b"\n") - 1):
