@@ -106,14 +106,13 @@ class Commissioning:
     def _tell(self) -> None:
         seen = f"over {self.steps:.0f} steps the voltage changes by {1e3 * self.slope_ohm:.3g} mV per A of discharge"
         if self.fault is Fault.CURRENT_SIGN:
-            log.error("current: %s: its sign is wrong (signals.current_positive)", seen)
+            log.error("current: %(seen)s: its sign is wrong (signals.current_positive)", {"seen": seen})
         elif self.fault is Fault.CURRENT_SCALE:
             ratio = -self.slope_ohm / self._r0_ohm()
             log.error(
-                "current: %s, %.3g times what the cell's resistance explains: its scale is wrong, or that of the cell "
-                "(signals.unit, parallel_cells, capacity_scale)",
-                seen,
-                ratio,
+                "current: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, or that "
+                "of the cell (signals.unit, parallel_cells, capacity_scale)",
+                {"seen": seen, "ratio": ratio},
             )
         else:
-            log.info("current: %s: its sign and scale are right", seen)
+            log.info("current: %(seen)s: its sign and scale are right", {"seen": seen})

@@ -64,6 +64,7 @@ MAY_IMPORT = {
     "skeleton": {"candidates", "dbc", "units"},
     "socketcan": set(),
     "seldom": set(),
+    "logsetup": {"toml"},
     "publication": {"records"},
     "pace": set(),
     "framelog": {"errors"},

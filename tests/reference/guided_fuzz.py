@@ -38,7 +38,10 @@ class Judge:
         from bms_ukf.dbc import own_matrix
 
         matrix = own_matrix()
-        self._messages = {i: matrix.message(n) for i, n in zip(IDS, ("PackMeasurement", "CellVoltages", "CellTemperatures"), strict=True)}
+        self._messages = {
+            i: matrix.message(n)
+            for i, n in zip(IDS, ("PackMeasurement", "CellVoltages", "CellTemperatures"), strict=True)
+        }
         self._published = matrix.message("SocEstimate")
         self._last: dict[int, tuple[int, int]] = {}  # alive counter and time of the last accepted frame
         self._expected: deque[Sample] = deque()
@@ -88,7 +91,10 @@ class Judge:
             (sample.voltage_V, known.voltage_V),
             (sample.temperature_degC, known.temperature_degC),
         ):
-            assert math.isclose(ours, theirs, abs_tol=1e-9) or (math.isnan(ours) and math.isnan(theirs)), (sample, known)
+            assert math.isclose(ours, theirs, abs_tol=1e-9) or (math.isnan(ours) and math.isnan(theirs)), (
+                sample,
+                known,
+            )
         assert sample.t_ns == known.t_ns
         self.told = self.alone.step(sample, out=self.told)
         self._compare(estimate)
@@ -207,11 +213,9 @@ def main() -> None:
         runs += 1
         target(data)
         if runs % 100_000 == 0:
-            judge, s = target.judge, time.monotonic() - began_s
-            print(  # noqa: T201
-                f"{runs} inputs, {target.frames} frames, {judge.refused} refused, {judge.steps} steps compared, {s:.0f} s",
-                flush=True,
-            )
+            judge, took_s = target.judge, time.monotonic() - began_s
+            done = f"{target.frames} frames, {judge.refused} refused, {judge.steps} steps compared"
+            print(f"{runs} inputs, {done}, {took_s:.0f} s", flush=True)  # noqa: T201
 
     atheris.Setup(sys.argv, one_input)
     atheris.Fuzz()
