@@ -105,7 +105,8 @@ class SafeBus:
         self._attempts = 0
         self._retry_at = 0.0
         self._dropped = 0  # by the sockets before this one
-        self._not_sent, self._bus_off, self._lost, self._open_again = (Seldom(log) for _ in range(4))
+        self._not_sent, self._bus_off = Seldom(log), Seldom(log)
+        self._lost, self._open_again = Seldom(log, burst=10), Seldom(log, burst=10)
         self.counters = BusCounters()
 
     def recv(self, timeout_s: float) -> can.Message | None:

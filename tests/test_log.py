@@ -87,6 +87,18 @@ def test_a_line_that_comes_with_every_frame_is_written_seldom_and_keeps_its_even
     assert [(line["event"], line["left_out"]) for line in parsed] == [("bus: %(error)s", 0), ("bus: %(error)s", 666)]
 
 
+def test_a_few_lines_of_what_is_rare_are_written_at_once_and_no_flood(caplog, monkeypatch):
+    now_s = 100.0
+    monkeypatch.setattr(seldom.time, "monotonic", lambda: now_s)
+    told = Seldom(log, burst=3)
+    for k in range(200):
+        now_s = 100.0 + k * 0.1
+        told.warning("%(k)d", k=k)
+    written = [int(line.split()[0]) for line in caplog.messages]
+    assert written == [0, 1, 2, 100, 101, 102]
+    assert "97 more" in caplog.messages[3]
+
+
 def test_a_line_without_values_is_written_as_it_is(caplog):
     Seldom(log).warning("100 % open again")
     assert caplog.messages == ["100 % open again"]

@@ -53,6 +53,7 @@ def main() -> int:
         else:
             return not_run(why_not_native, why_no_guest)
         ran, skipped = count(junit)
+        say("\n".join(f"{name}: {value}" for name, value in measured(junit)))
     announce(f"{ran} tests ran over real vcan0 ({where}), {skipped} skipped, pytest exit code {code}")
     return code or int(ran == 0)
 
@@ -160,6 +161,13 @@ def failed(junit: Path) -> list[str]:
         case for case in ET.parse(junit).getroot().iter("testcase") if {"failure", "error"} & {e.tag for e in case}
     ]
     return sorted({f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}" for case in cases})
+
+
+def measured(junit: Path) -> list[tuple[str, str]]:
+    """What the tests recorded as their properties."""
+    if not junit.exists():
+        return []
+    return [(str(p.get("name")), str(p.get("value"))) for p in ET.parse(junit).getroot().iter("property")]
 
 
 def count(junit: Path) -> tuple[int, int]:
