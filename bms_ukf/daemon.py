@@ -98,8 +98,15 @@ class Daemon(Core):
     def _send(self, t_ns: int, detail: Detail) -> None:
         accepted, bus = self.estimator.accepted, self.bus
         if t_ns - self._health_ns >= HEALTH_NS:
-            refused, counters = self.intake.counters.refused, bus.counters
-            counts = (counters.dropped, refused, counters.send_failed, self._clock.steps, counters.reopened)
+            counters = bus.counters
+            counts = (
+                counters.dropped,
+                self.intake.counters.refused,
+                counters.send_failed,
+                self._clock.steps,
+                counters.reopened,
+                self.intake.contradictions,
+            )
             bus.send(self.encoder.health(counts, accepted), t_ns)
             self._health_ns = t_ns
         for frame in self.encoder.encode(self.estimate, detail, accepted):

@@ -123,6 +123,8 @@ class Estimator:
             self._io[layout.IN_OFFSET] = current_A
             if not self._form.bias:
                 current_A = 0.0
+            elif math.isnan(current_A):  # what the sensor would show
+                current_A = float(np.mean(self._io[layout.OUT_BIAS]))
         code = self._tick(*self._addresses, dt, current_A)
         if sample.open_circuit:
             self._io[layout.IN_OFFSET] = math.nan

@@ -91,7 +91,7 @@ class Sample:
     current_A: float = NAN  # positive = discharge
     voltage_V: PerCell = NAN  # cell terminal voltage; array of shape (cells,) for a pack
     temperature_degC: PerCell = NAN
-    open_circuit: bool = False  # the contactor is known to be open: `current_A` is the sensor's offset, nothing flows
+    open_circuit: bool = False  # the contactor is known to be open: nothing flows, `current_A` is the sensor's offset
 
 
 @dataclass(slots=True)

@@ -454,6 +454,9 @@ def test_behind_open_contactors_a_small_reading_is_published_as_offset_and_a_lar
             rig.feed(Sample(k * SECOND_NS, reading_A, 3.7, 25.0))
         published = signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"]
         assert published == pytest.approx(bias_A, abs=within_A)
+        rig.feed(Sample(61 * SECOND_NS, reading_A, 3.7, 25.0))
+        health = signals_of("BusHealth", rig.all_frames())[-1]
+        assert health["Contradictions"] == (reading_A > 0.5)
 
 
 def test_signals_that_arrive_late_are_estimated_as_if_they_did_not(cell, samples):

@@ -62,7 +62,15 @@ def select(work: Path, name: str, tests: list[str]) -> tuple[list[str], Path]:
     """The command that runs these tests, and where it leaves its result."""
     junit = work / f"{name}.xml"
     colour = "yes" if sys.stdout.isatty() else "no"
-    return [*PYTEST, *tests, f"--junitxml={junit}", f"--basetemp={work / name}", f"--color={colour}"], junit
+    # xunit1 has the properties that tests record
+    return [
+        *PYTEST,
+        *tests,
+        f"--junitxml={junit}",
+        "--override-ini=junit_family=xunit1",
+        f"--basetemp={work / name}",
+        f"--color={colour}",
+    ], junit
 
 
 def namespace() -> list[str]:
