@@ -152,10 +152,14 @@ class Estimator(PerCell):
             current_A = math.nan
             self._io[layout.IN_CURRENT] = math.nan if strings_A is None else strings_A[self.wiring.string_of]
         if sample.open_circuit:
-            strings = self.wiring.string_of is not None
-            self._io[layout.IN_OFFSET] = self._io[layout.IN_CURRENT] if strings else current_A
+            strings, shown, offset = self.wiring.string_of is not None, self._io[layout.IN_CURRENT], layout.OUT_BIAS
+            self._io[layout.IN_OFFSET] = shown if strings else current_A
             if not self._form.bias:
                 current_A, self._io[layout.IN_CURRENT] = 0.0, math.nan
+            elif strings:  # a reading that is missing: what the sensor would show
+                self._io[layout.IN_CURRENT] = np.where(np.isnan(shown), self._io[offset], shown)
+            elif math.isnan(current_A):
+                current_A = float(np.mean(self._io[offset]))
         return current_A
 
     def coast(self, t_ns: int, out: Estimate | None = None) -> Estimate:

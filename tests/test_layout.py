@@ -69,6 +69,7 @@ MAY_IMPORT = {
     "skeleton": {"candidates", "dbc", "units"},
     "socketcan": set(),
     "seldom": set(),
+    "logsetup": {"toml"},
     "publication": {"records"},
     "pace": set(),
     "framelog": {"errors"},
@@ -78,6 +79,8 @@ MAY_IMPORT = {
     "state": {"estimator", "records", "seldom", "slots"},
     "notify": set(),
     "commissioning": {"cell", "records"},
+    "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan"},
+    "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {
