@@ -109,12 +109,12 @@ class FmuProcess:
         self._signal(signal.SIGSTOP)
 
     def close(self) -> None:
-        """Ends the child, by force if it does not end by itself. May be called again."""
+        """Ends the child, by force if it does not end by itself, and what it has started. May be called again."""
+        with suppress(OSError):
+            self._link.shutdown(socket.SHUT_WR)
+        self._wait(_END_S)
+        self._finish()
         self._link.close()
-        with suppress(subprocess.TimeoutExpired):
-            self._child.wait(_END_S)
-        self._signal(signal.SIGKILL)
-        self._child.wait()
         self._reader.join(_END_S)  # unless a process it started holds the pipe open
 
     def _started(self, deadline: float) -> list[float]:
@@ -158,7 +158,7 @@ class FmuProcess:
                 self._look_at_memory()
             if data:
                 return data
-            if data is not None or self._child.poll() is not None:
+            if data is not None or self._wait(0):
                 self._ended()
             if now > deadline:
                 self._signal(signal.SIGKILL)
@@ -176,13 +176,26 @@ class FmuProcess:
 
     def _ended(self) -> NoReturn:
         """Raises for a child that is gone."""
-        try:
-            code = self._child.wait(_END_S)
-        except subprocess.TimeoutExpired:  # it closed the socket and lives on
-            self._signal(signal.SIGKILL)
-            code = self._child.wait()
+        self._wait(_END_S)  # it may have closed the socket and live on
+        code = self._finish()
         how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         raise self._error("crash", f"its process was {how} in {self._call}{self._last_words()}")
+
+    def _wait(self, limit_s: float) -> bool:
+        """Whether the child has ended, within a time; its process id stays taken until `_finish`."""
+        until = time.monotonic() + limit_s
+        while self._child.returncode is None:
+            if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                return True
+            if time.monotonic() >= until:
+                return False
+            time.sleep(0.002)
+        return True
+
+    def _finish(self) -> int:
+        """Ends the child and all in its group, if it lives; its exit code."""
+        self._signal(signal.SIGKILL)
+        return self._child.wait()
 
     def _last_words(self) -> str:
         """What it printed last, after a comma; nothing if it printed nothing."""
