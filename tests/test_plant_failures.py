@@ -21,12 +21,16 @@ LATE = "if (t < 2.5) {" + CELL_STEP.replace("return 0;", "return 0; }")  # what 
 TAKE = "{{ volatile char *p = malloc({0} << 20); for (int k = 0; k < {0} << 20; k += 512) p[k] = 1; usleep(10000); }}"
 
 
+def drive(plant, seconds):
+    for _ in range(seconds):
+        plant.step(1.0, SECOND)
+
+
 def run(fmu, seconds=10, **keys):
     """The failure of a plant, and the time it was at."""
     with open_plant(fmu, **keys) as plant:
         with pytest.raises(PlantError) as caught:
-            for _ in range(seconds):
-                plant.step(1.0, SECOND)
+            drive(plant, seconds)
         pids = [part.process.pid for part in plant._parts]
         t_ns = plant.state.t_ns
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
@@ -88,7 +92,7 @@ def test_what_an_fmu_prints_does_not_reach_our_output(tmp_path, capfd):
 
 def test_a_prompt_for_a_licence_finds_neither_terminal_nor_display(tmp_path):
     ask = 'if (getchar() == EOF && !getenv("DISPLAY")) { fputs("no licence\\n", stderr); return NULL; }'
-    with pytest.raises(ConfigError, match="loaded here .*no licence"):
+    with pytest.raises(ConfigError, match=r"loaded here .*no licence"):
         open_plant(build(tmp_path / "ask.fmu", instantiate=ask))
 
 

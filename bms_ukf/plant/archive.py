@@ -75,7 +75,7 @@ def library(path: Path, folder: Path, description: Any) -> Path:
     for candidate in candidates:
         if candidate.is_file():
             return candidate
-    if not description.buildConfigurations:
+    if not description.buildConfigurations or not (folder / "sources").is_dir():
         found = ", ".join(platforms(folder)) or "none, and no sources"
         misnamed = [
             f"{other.parent.name}/{other.name}" for name in names for other in (folder / "binaries" / name).glob("*.so")

@@ -26,8 +26,9 @@ def variable_named(path: Path, description: Any, name: str, key: str) -> Any:
     for variable in description.modelVariables:
         if variable.name == name:
             return variable
-    by_name = [variable.name for variable in description.modelVariables]
-    near = difflib.get_close_matches(name, by_name, n=3, cutoff=0.4) or sorted(by_name)[:5]
+    names = {variable.name.lower(): variable.name for variable in description.modelVariables}
+    close = difflib.get_close_matches(name.lower(), names, n=3, cutoff=0.4)
+    near = [names[lower] for lower in close] or sorted(names.values())[:5]
     raise ConfigError(path, key=key, value=name, expected=f"a variable of the FMU, such as {', '.join(near)}")
 
 

@@ -123,7 +123,7 @@ class Part:
             raise ConfigError(
                 self.path,
                 key="step_s",
-                value=own_ns * 1e-9,
+                value=own_ns / 1e9,
                 expected=f"a part or a multiple of the plant's step, {step_ns * 1e-9:g} s",
             )
         weighted = (value * step_ns for value in self.inputs)

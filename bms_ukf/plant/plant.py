@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -20,6 +20,14 @@ from bms_ukf.plant.part import Part
 from bms_ukf.plant.roles import wire_up
 from bms_ukf.plant.table import PlantTable
 from bms_ukf.records import NAN, PerCell
+
+Input = Literal["current_A", "power_W", "voltage_V"]
+_INPUTS: dict[str, Input] = {  # by the role of what drives the plant
+    "current_A": "current_A",
+    "power_W": "power_W",
+    "supply_V": "voltage_V",
+    "voltage_V": "voltage_V",
+}
 
 
 @dataclass(slots=True)
@@ -67,9 +75,9 @@ class Plant:
             self._undo = undo.pop_all()
 
     @property
-    def input(self) -> str | None:
+    def input(self) -> Input | None:
         """What `step` takes: "current_A", "power_W" or "voltage_V"; None if a part of the plant drives it."""
-        return "voltage_V" if self._wiring.load == "supply_V" else self._wiring.load
+        return _INPUTS.get(self._wiring.load or "")
 
     def step(self, load: float, step_ns: int) -> PlantState:
         """Advances by `step_ns` > 0 with the load held; returns the new `state`.

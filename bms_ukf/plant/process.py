@@ -34,6 +34,10 @@ _ROOT = str(Path(__file__).resolve().parents[2])
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
+class NotLoadedError(ConfigError):
+    """The FMU's library cannot be loaded, or gives no instance."""
+
+
 class FmuProcess:
     """One FMU in a process of its own.
 
@@ -127,7 +131,7 @@ class FmuProcess:
                 case wire.CALL:
                     self._call = text
                 case wire.UNUSABLE:
-                    raise ConfigError(
+                    raise NotLoadedError(
                         self._label, expected=f"an FMU that can be loaded here ({text}{self._last_words()})"
                     )
                 case wire.PARAMETER:

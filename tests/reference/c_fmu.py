@@ -1,8 +1,8 @@
 """Small co-simulation FMUs written in C by a test, for FMI 2.0 and 3.0: well-behaved ones, and ones that are not.
 
-Every value is a double in `v`, and a variable's name is a macro for its first element. The model is the body of
+Every value is a double in `all`, and a variable's name is a macro for its first element. The model is the body of
 
-    int advance(double *v, double t, double h, double *reached)
+    int advance(double *all, double t, double h, double *reached)
 
 which returns an FMI status. What else a test wants of the FMU is an argument of `build`.
 """
@@ -46,10 +46,10 @@ CELL = (
     Var("soc", "output", "1"),
     Var("soc_initial", "parameter", "1", "0.5"),
 )
-# A resistance of 0.1 ohm and 1 Ah; soc counts what was drawn, in v[6].
+# A resistance of 0.1 ohm and 1 Ah; soc counts what was drawn, in all[6].
 CELL_STEP = """
-    v[6] += current_A * h / 3600;
-    soc = soc_initial - v[6];
+    all[6] += current_A * h / 3600;
+    soc = soc_initial - all[6];
     voltage_V = 3 + soc - 0.1 * current_A;
     temperature_degC = ambient_degC;
     return 0;
@@ -116,21 +116,22 @@ def description(
 def source(variables: Sequence[Var], step: str, start: str, fmi: int, instantiate: str, declare: str) -> str:
     offsets, _ = _places(variables)
     symbols = {re.sub(r"\W", "_", name): offset for name, offset in offsets.items()}
-    macros = "".join(f"#define {name} v[{offset}]\n" for name, offset in symbols.items())
+    macros = "".join(f"#define {name} all[{offset}]\n" for name, offset in symbols.items())
     places = ",".join(str(offsets[variable.name]) for variable in variables)
     lengths = ",".join(
-        f"(int)m->v[{offsets[variable.length]}]" if variable.length else str(variable.size) for variable in variables
+        f"(int)m->all[{offsets[variable.length]}]" if variable.length else str(variable.size) for variable in variables
     )
     begin = "".join(
-        f"m->v[{offsets[variable.name] + k}] = {value};"
+        f"m->all[{offsets[variable.name] + k}] = {value};"
         for variable in variables
         if variable.start
         for k, value in enumerate(_numbers(variable))
     )
     return (
         f"#define FMI {fmi}\n#include <fmi{fmi}Functions.h>\n{_HEAD}{declare}\n{macros}"
-        f"static int advance(double *v, double t, double h, double *reached) {{ (void)t; (void)h; (void)reached; {step} }}\n"
-        f"static void start(double *v) {{ (void)v; {start} }}\n"
+        f"static int advance(double *all, double t, double h, double *reached)"
+        f" {{ (void)t; (void)h; (void)reached; {step} }}\n"
+        f"static void start(double *all) {{ (void)all; {start} }}\n"
         + "".join(f"#undef {name}\n" for name in symbols)
         + f"static const int places[] = {{{places}}};\n"
         f"static int length(Model *m, int k) {{ (void)m; const int lengths[] = {{{lengths}}}; return lengths[k]; }}\n"
@@ -154,8 +155,9 @@ def build(
     experiment: str = "",
     sources_only: bool = False,
     replace: tuple[str, str] | None = None,
+    link: Sequence[str] = (),
 ) -> Path:
-    """Writes the FMU; `replace` alters its model description, which is valid otherwise."""
+    """Writes the FMU; `replace` alters its model description, which is valid otherwise. `link`: more to link with."""
     code = source(variables, step, start, fmi, instantiate, declare)
     more = '<SourceFiles><File name="tiny.c"/></SourceFiles>' if sources_only and fmi == 2 else ""
     text = description(variables, fmi, capabilities=capabilities, experiment=experiment, more=more)
@@ -173,14 +175,14 @@ def build(
             file = path.with_suffix(".c")
             file.write_text(code)
             library = path.with_suffix(".so")
-            command = ["cc", "-O1", "-shared", "-fPIC", f"-I{HEADERS}", "-o", str(library), str(file), "-lm"]
+            command = ["cc", "-O1", "-shared", "-fPIC", f"-I{HEADERS}", "-o", str(library), str(file), "-lm", *link]
             subprocess.run(command, check=True)
             archive.write(library, f"binaries/{PLATFORM[fmi]}/tiny.so")
     return path
 
 
 def _places(variables: Sequence[Var]) -> tuple[dict[str, int], dict[str, int]]:
-    """Index of each variable's first element in `v`, and its value reference."""
+    """Index of each variable's first element in `all`, and its value reference."""
     offsets, references, place = {}, {}, 0
     for k, variable in enumerate(variables):
         offsets[variable.name], references[variable.name] = place, k
@@ -203,7 +205,7 @@ _HEAD = """
 #include <string.h>
 #include <unistd.h>
 #include <signal.h>
-typedef struct { double v[4096]; double reached; int ended; } Model;
+typedef struct { double all[4096]; double reached; int ended; } Model;
 """
 
 _FMI2 = """
@@ -215,7 +217,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     char file[4096];
     if (strcmp(guid, "{token}") || strncmp(place, "file:///", 8)) return NULL;
     snprintf(file, sizeof file, "%s/here.txt", place + 7);
-    if (access(file, R_OK)) { f->logger(NULL, name, fmi2Error, "logStatusError", "no %s in %d", "here.txt", 42); return NULL; }
+    if (access(file, R_OK)) { f->logger(NULL, name, fmi2Error, "error", "no %s, %d", "here.txt", 42); return NULL; }
     f->freeMemory(f->allocateMemory(4, 8));
     return make();
 }
@@ -223,10 +225,10 @@ void fmi2FreeInstance(fmi2Component c) { free(c); }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real t, fmi2Boolean d, fmi2Real e)
     { (void)c; (void)a; (void)b; (void)t; (void)d; (void)e; return 0; }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return 0; }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { start(((Model *)c)->v); return 0; }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { start(((Model *)c)->all); return 0; }
 fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return 0; }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean n) {
-    (void)n; Model *m = c; m->reached = t + h; return advance(m->v, t, h, &m->reached);
+    (void)n; Model *m = c; m->reached = t + h; return advance(m->all, t, h, &m->reached);
 }
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *x)
     { (void)k; *x = ((Model *)c)->reached; return 0; }
@@ -234,7 +236,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boo
     { (void)k; *x = ((Model *)c)->reached < 0; return 0; }
 """
 
-# Event mode: `advance` says by a status of 100 or more that an event has to be handled, which adds 1 to v[4095].
+# Event mode: `advance` says by a status of 100 or more that an event has to be handled, which adds 1 to all[4095].
 _FMI3 = """
 const char *fmi3GetVersion(void) { return "3.0"; }
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String place, fmi3Boolean visible,
@@ -243,16 +245,16 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     (void)name; (void)visible; (void)logging; (void)r; (void)n; (void)u; (void)early; (void)events;
     char file[4096];
     snprintf(file, sizeof file, "%shere.txt", place);
-    if (strcmp(token, "{token}") || access(file, R_OK)) { log(e, fmi3Error, "logStatusError", "no such place"); return NULL; }
+    if (strcmp(token, "{token}") || access(file, R_OK)) { log(e, fmi3Error, "error", "no such place"); return NULL; }
     return make();
 }
 void fmi3FreeInstance(fmi3Instance c) { free(c); }
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance c) { (void)c; return 0; }
 fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { (void)c; return 0; }
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b, fmi3Float64 t, fmi3Boolean d, fmi3Float64 e)
-    { (void)c; (void)a; (void)b; (void)t; (void)d; (void)e; return 0; }
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { start(((Model *)c)->v); return 0; }
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { ((Model *)c)->v[4095] += 1; return 0; }
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean a, fmi3Float64 b, fmi3Float64 t, fmi3Boolean d,
+    fmi3Float64 e) { (void)c; (void)a; (void)b; (void)t; (void)d; (void)e; return 0; }
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { start(((Model *)c)->all); return 0; }
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { ((Model *)c)->all[4095] += 1; return 0; }
 fmi3Status fmi3EnterStepMode(fmi3Instance c) { (void)c; return 0; }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need, fmi3Boolean *end, fmi3Boolean *a, fmi3Boolean *b,
     fmi3Boolean *d, fmi3Float64 *t) { (void)c; (void)t; *need = *end = *a = *b = *d = false; return 0; }
@@ -260,8 +262,9 @@ fmi3Status fmi3Terminate(fmi3Instance c) { (void)c; return 0; }
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean n, fmi3Boolean *event, fmi3Boolean *end,
     fmi3Boolean *early, fmi3Float64 *last) {
     (void)n; Model *m = c; m->reached = t + h;
-    int status = advance(m->v, t, h, &m->reached);
-    *event = status >= 100; *end = m->reached < 0; *early = m->reached < t + h; *last = m->reached;
+    int status = advance(m->all, t, h, &m->reached);
+    *event = status >= 100; *end = m->reached < 0; *early = m->reached < t + h;
+    *last = m->reached;
     return status % 100;
 }
 """
@@ -274,9 +277,9 @@ def _access(fmi: int, kind: str, ctype: str) -> str:
     unused = "(void)size;" if fmi == 3 else ""
     return (
         f"fmi{fmi}Status fmi{fmi}Get{kind}(void *c, const {const} r[], size_t n, {ctype} x[]{more})"
-        f" {{ Model *m = c; {unused} {loop} x[at] = ({ctype})m->v[places[r[i]] + k]; return 0; }}\n"
+        f" {{ Model *m = c; {unused} {loop} x[at] = ({ctype})m->all[places[r[i]] + k]; return 0; }}\n"
         f"fmi{fmi}Status fmi{fmi}Set{kind}(void *c, const {const} r[], size_t n, const {ctype} x[]{more})"
-        f" {{ Model *m = c; {unused} {loop} m->v[places[r[i]] + k] = (double)x[at]; return 0; }}\n"
+        f" {{ Model *m = c; {unused} {loop} m->all[places[r[i]] + k] = (double)x[at]; return 0; }}\n"
     )
 
 
