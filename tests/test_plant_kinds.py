@@ -105,9 +105,9 @@ def test_events_are_handled_in_event_mode_if_the_fmu_has_it(tmp_path, capabiliti
 
 
 def test_an_fmu_that_works_asynchronously_is_refused_by_that_word(tmp_path):
-    with open_plant(build(tmp_path / "cell.fmu", step="return 5;")) as plant:
-        with pytest.raises(PlantError, match="works asynchronously"):
-            plant.step(1.0, SECOND)
+    fmu = build(tmp_path / "cell.fmu", step="return 5;")
+    with open_plant(fmu) as plant, pytest.raises(PlantError, match="works asynchronously"):
+        plant.step(1.0, SECOND)
 
 
 # The voltage is the number of steps made, the temperature the length of the last one, soc the mean current.
@@ -143,11 +143,11 @@ def test_an_fmu_is_stepped_as_it_or_its_user_asks(tmp_path, fmi, fixed, keys, st
 
 
 def test_a_step_that_fits_nothing_is_one_line(tmp_path):
-    with open_plant(build(tmp_path / "c.fmu"), step_s=0.3) as plant:
-        with pytest.raises(
-            ConfigError, match=r"step_s is 0\.3; expected a part or a multiple of the plant's step, 1 s"
-        ):
-            plant.step(1.0, SECOND)
+    with (
+        open_plant(build(tmp_path / "c.fmu"), step_s=0.3) as plant,
+        pytest.raises(ConfigError, match=r"step_s is 0\.3; expected a part or a multiple of the plant's step, 1 s"),
+    ):
+        plant.step(1.0, SECOND)
 
 
 def test_the_fmus_clock_starts_where_its_experiment_does(tmp_path):

@@ -78,9 +78,13 @@ def test_a_part_may_drive_the_plant(folder, tmp_path):
         "part": [{"name": "load", "fmu": "load.fmu"}, {"name": "cell", "fmu": "cell.fmu"}],
         "connect": [{"from": "load.I", "to": "cell.i"}],
         "variables": {
-            "current_A": "cell.i", "voltage_V": "cell.v", "temperature_degC": "", "soc": "", "ambient_degC": "cell.T_in",
+            "current_A": "cell.i",
+            "voltage_V": "cell.v",
+            "temperature_degC": "",
+            "soc": "",
+            "ambient_degC": "cell.T_in",
         },
-    }  # fmt: skip
+    }
     with open_plant(toml.validate(data, PlantTable, "plant"), tmp_path) as plant:
         assert plant.input is None
         state = plant.step(0.0, SECOND)

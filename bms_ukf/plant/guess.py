@@ -6,8 +6,11 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from bms_ukf.plant import quantities
-from bms_ukf.plant.description import NUMBERS, start_of
+from bms_ukf.plant.description import NUMBERS
+from bms_ukf.plant.plant import PlantState
 from bms_ukf.plant.roles import ROLES
 
 # What names of variables tend to contain, for a role that neither its own name nor the unit settles.
@@ -20,7 +23,8 @@ _HINTS = {
     "temperature_degC": ("temp", "t_cell", "t_pack"),
     "soc": ("soc", "charge"),
 }
-_SHORT = {"current_A": "i", "power_W": "p", "supply_V": "u", "voltage_V": "v"}  # Modelica's names, at the end of a path
+# What modellers call them, at the end of a path.
+_SHORT = {"current_A": {"i"}, "power_W": {"p"}, "supply_V": {"u", "v"}, "voltage_V": {"u", "v"}}
 
 Entry = str | list[str] | dict[str, str]  # of [plant.variables]
 
@@ -35,12 +39,12 @@ def roles(description: Any) -> tuple[str | None, dict[str, Entry]]:
     drive = None
     for role in ("current_A", "power_W", "supply_V"):
         if drive is None and (names := _matching(description, role, inputs)):
-            drive, found[role] = role, _entry(description, role, names)
+            drive, found[role] = role, _entry(names)
     found.setdefault("current_A", "")
     for role in ROLES.keys() - {"power_W", "supply_V", "ambient_degC"} - {drive}:
         names = _matching(description, role, outputs) or _matching(description, role, inner, strict=True)
-        found[role] = _entry(description, role, names)
-    found["ambient_degC"] = _entry(description, "ambient_degC", _matching(description, "ambient_degC", inputs))
+        found[role] = _entry(names)
+    found["ambient_degC"] = _entry(_matching(description, "ambient_degC", inputs))
     if drive == "supply_V" or (not found["current_A"] and drive == "power_W"):
         found = {role: entry for role, entry in found.items() if entry or role not in ("voltage_V", "current_A")}
     return drive, {role: found[role] for role in ROLES if role in found}
@@ -67,7 +71,7 @@ def _matching(description: Any, role: str, variables: Sequence[Any], *, strict: 
 
 def _hinted(role: str, name: str) -> bool:
     last = re.sub(r"\[\d+\]$|_?\d+$", "", name).rpartition(".")[2].lower()
-    return any(hint in name.lower() for hint in _HINTS[role]) or last == _SHORT.get(role)
+    return any(hint in name.lower() for hint in _HINTS[role]) or last in _SHORT.get(role, ())
 
 
 def _stem(name: str) -> str:
@@ -75,22 +79,21 @@ def _stem(name: str) -> str:
     return re.sub(r"\[\d+\]|_?\d+(?=$|\.)", "#", name)
 
 
-def _entry(description: Any, role: str, matching: Sequence[Any]) -> Entry:
+def _entry(matching: Sequence[Any]) -> Entry:
     if not matching:
         return ""
     names = [variable.name for variable in matching]
     if len(names) > 1:
         return names
-    first = matching[0]
-    if role == "soc" and quantities.unit_of(first) is None and _beyond_one(first):
-        return {"name": first.name, "unit": "%"}
-    return str(first.name)
+    return str(matching[0].name)
 
 
-def _beyond_one(variable: Any) -> bool:
-    """Whether a state of charge without a unit is declared in percent."""
-    try:
-        highest = float(variable.max) if variable.max is not None else 1.0
-    except ValueError:
-        return False
-    return highest > 1.5 or (start_of(variable) or 0.0) > 1.5
+def undeclared_units(description: Any, roles: dict[str, Entry], state: PlantState) -> dict[str, Entry]:
+    """The entries, with the unit that the values at the start suggest where the FMU declares none."""
+    suggested = dict(roles)
+    units = {v.name: quantities.unit_of(v) for v in description.modelVariables}
+    for role, unit, least in (("soc", "%", 1.5), ("temperature_degC", "K", 200.0)):
+        name = roles.get(role)
+        if isinstance(name, str) and units.get(name) is None and np.max(getattr(state, role)) > least:
+            suggested[role] = {"name": name, "unit": unit}
+    return suggested

@@ -51,7 +51,13 @@ def describe(given: Path) -> str:
     warnings = [f"validation: {finding}" for finding in findings]
     warnings += _gaps(drive, roles)
     if not _gaps(drive, roles):
-        warnings += _trial(path, roles)
+        try:
+            with open_plant(path, variables=roles, validate=False) as plant:
+                roles = guess.undeclared_units(description, roles, plant.state)
+        except NotLoadedError:
+            raise
+        except BmsError as error:
+            warnings.append(f"it does not start with its default values: {error}")
     about = [*_heading(description, platforms), "", *_table(description)]
     about += ["", *(f"warning: {warning}" for warning in warnings)] if warnings else []
     comments = [f"# {line}".rstrip() for text in about for line in text.splitlines() or [""]]
@@ -69,17 +75,6 @@ def _gaps(drive: str | None, roles: dict[str, Entry]) -> list[str]:
         unit = ROLES[needed].quantity.unit
         gaps.append(f"no output looks like {needed} in {unit}: name it in [plant.variables]")
     return gaps
-
-
-def _trial(path: Path, roles: dict[str, Entry]) -> list[str]:
-    """Starts the FMU with its default values; what is said against that."""
-    try:
-        open_plant(path, variables=roles, validate=False).close()
-    except NotLoadedError:
-        raise
-    except BmsError as error:
-        return [f"it does not start with its default values: {error}"]
-    return []
 
 
 def _heading(description: Any, platforms: Sequence[str]) -> list[str]:
@@ -134,6 +129,7 @@ def _scenario(fmu_name: str, description: Any, drive: str | None, roles: dict[st
         f"fmu = {_quoted(fmu_name)}",
         *([] if valid else ["validate = false  # see the warnings"]),
         *([f"# step_s = {suggested_s!r}  # its own; left out: that of the scenario"] if suggested_s else []),
+        *([] if roles["temperature_degC"] else ["ambient_degC = 25.0  # the FMU tells no temperature"]),
         '# current_positive = "charge"  # if its current or power is positive on charge',
         "",
         "[plant.parameters]",
