@@ -8,7 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from c_fmu import CELL, CELL_START, CELL_STEP, Var, build
+from c_fmu import CELL, CELL_START, CELL_STEP, PLATFORM, Var, build
 
 from bms_ukf.errors import ConfigError, PlantError
 from bms_ukf.plant import open_plant
@@ -102,6 +102,18 @@ def test_events_are_handled_in_event_mode_if_the_fmu_has_it(tmp_path, capabiliti
         for _ in range(4):
             plant.step(0.0, SECOND)
         assert plant.state.temperature_degC == events
+
+
+def test_a_step_ends_where_the_fmu_said_its_next_event_would_be(tmp_path):
+    # soc counts steps, the temperature is the length of the last one.
+    step = "temperature_degC = h; soc += 1; all[4094] = t < 1.5 ? 1.5 : 0; return 0;"
+    fmu = build(
+        tmp_path / "c.fmu", step=step, start="all[4094] = 1.5; soc = 0;", fmi=3, capabilities='hasEventMode="true"'
+    )
+    with open_plant(fmu) as plant:
+        lengths = [plant.step(0.0, SECOND).temperature_degC for _ in range(3)]
+    assert lengths == [1.0, 0.5, 1.0]
+    assert plant.state.soc == 4
 
 
 def test_an_fmu_that_works_asynchronously_is_refused_by_that_word(tmp_path):
@@ -290,11 +302,33 @@ def test_a_guid_the_library_does_not_have_is_one_line(tmp_path):
 
 
 def test_a_library_whose_own_libraries_are_missing_is_one_line_that_names_them(tmp_path):
-    (tmp_path / "lost.c").write_text("int lost(void) { return 0; }")
-    subprocess.run(["cc", "-shared", "-o", tmp_path / "liblost.so", tmp_path / "lost.c"], check=True)
-    fmu = build(tmp_path / "c.fmu", link=["-Wl,--no-as-needed", f"-L{tmp_path}", "-llost"])
+    fmu = build(tmp_path / "c.fmu", link=["-Wl,--no-as-needed", f"-L{tmp_path}", lost(tmp_path)])
     with pytest.raises(ConfigError, match=r"can be loaded here \(liblost\.so: cannot open shared object file"):
         open_plant(fmu)
+
+
+def test_a_library_finds_others_beside_it(tmp_path):
+    fmu = build(tmp_path / "c.fmu", link=["-Wl,--no-as-needed", f"-L{tmp_path}", lost(tmp_path)])
+    with zipfile.ZipFile(fmu, "a") as archive:
+        archive.write(tmp_path / "liblost.so", f"binaries/{PLATFORM[2]}/liblost.so")
+    with open_plant(fmu) as plant:
+        assert plant.step(0.0, SECOND).voltage_V == 3.5
+
+
+def lost(folder):
+    """A library to link with; as a linker option."""
+    (folder / "lost.c").write_text("int lost(void) { return 0; }")
+    subprocess.run(["cc", "-shared", "-o", folder / "liblost.so", folder / "lost.c"], check=True)
+    return "-llost"
+
+
+def test_a_function_that_is_never_called_may_be_missing(tmp_path):
+    missing = "int missing(void); "
+    fmu = build(tmp_path / "c.fmu", step="if (current_A > 5) return missing();" + CELL_STEP, declare=missing)
+    with open_plant(fmu) as plant:
+        assert plant.step(0.0, SECOND).voltage_V == 3.5
+        with pytest.raises(PlantError, match=r"exit code 127 .*undefined symbol: missing"):
+            plant.step(6.0, SECOND)
 
 
 def test_a_library_without_the_standards_functions_is_one_line_that_names_one(tmp_path):
@@ -303,7 +337,7 @@ def test_a_library_without_the_standards_functions_is_one_line_that_names_one(tm
         (tmp_path / "bare.c").write_text("int nothing(void) { return 0; }")
         subprocess.run(["cc", "-shared", "-o", tmp_path / "bare.so", tmp_path / "bare.c"], check=True)
         new.writestr("modelDescription.xml", old.read("modelDescription.xml"))
-        new.write(tmp_path / "bare.so", "binaries/linux64/tiny.so")
+        new.write(tmp_path / "bare.so", f"binaries/{PLATFORM[2]}/tiny.so")
     with pytest.raises(ConfigError, match="its library has no function fmi2DoStep"):
         open_plant(tmp_path / "bare.fmu")
 

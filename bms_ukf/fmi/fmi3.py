@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Sequence
 from ctypes import c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from typing import Any, ClassVar
@@ -38,6 +39,7 @@ class Fmi3(Instance):
         self._event, self._terminate, self._early = c_bool(), c_bool(), c_bool()
         self._reached = c_double()
         self._told = [ctypes.byref(cell) for cell in (self._event, self._terminate, self._early, self._reached)]
+        self._next_event = math.inf  # where the FMU wants a step to end
         self._discrete = plan["event_mode"] and plan["discrete_inputs"]
         self._held: Sequence[float] = plan["input_start"]
         self._setters = [(self._accessor("Set", block.type), block) for block in self._inputs]
@@ -101,31 +103,42 @@ class Fmi3(Instance):
 
     def _advance(self, begin: float, end: float, step: float) -> None:
         for _ in range(_EVENT_LIMIT):
+            until = end
+            if begin < self._next_event < end:
+                until, step = self._next_event, self._next_event - begin
             self._event.value = self._terminate.value = self._early.value = False
-            self._reached.value = end
+            self._reached.value = until
             status = self._do_step(self._handle, begin, step, True, *self._told)
             if status > WARNING:
                 self._check("fmi3DoStep", status)
             if self._terminate.value:
                 raise RefusedError(f"the FMU ended the simulation: {self._reason()}")
-            if self._event.value and self._plan["event_mode"]:
-                self._call("fmi3EnterEventMode", self._handle)
-                self._leave_event()
-            if not self._early.value or self._reached.value >= end:
+            reached = min(self._reached.value, until) if self._early.value else until
+            if self._event.value or reached >= self._next_event:
+                self._handle_event()
+            if reached >= end:
                 return
-            begin = max(begin, self._reached.value)
+            begin = max(begin, reached)
             step = end - begin
         raise RefusedError(f"fmi3DoStep returned early {_EVENT_LIMIT} times and got no further than t = {begin:g} s")
 
+    def _handle_event(self) -> None:
+        if self._plan["event_mode"]:
+            self._call("fmi3EnterEventMode", self._handle)
+            self._leave_event()
+
     def _leave_event(self) -> None:
-        needed, ends, *others = [c_bool() for _ in range(5)]
-        told = [*map(ctypes.byref, (needed, ends, *others)), ctypes.byref(c_double())]
+        needed, ends, nominals, states, is_next = [c_bool() for _ in range(5)]
+        next_event = c_double()
+        told = [*map(ctypes.byref, (needed, ends, nominals, states, is_next)), ctypes.byref(next_event)]
         update = self._function("fmi3UpdateDiscreteStates", c_void_p, *[c_void_p] * 6)
         for _ in range(_EVENT_LIMIT):
             self._check("fmi3UpdateDiscreteStates", update(self._handle, *told))
             if ends.value:
                 raise RefusedError(f"the FMU ended the simulation: {self._reason()}")
             if not needed.value:
+                is_met = is_next.value and self._plan["variable_step"]
+                self._next_event = next_event.value if is_met else math.inf
                 self._call("fmi3EnterStepMode", self._handle)
                 return
         raise RefusedError(f"an event did not end within {_EVENT_LIMIT} iterations")

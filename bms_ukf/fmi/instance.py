@@ -44,7 +44,7 @@ class Instance:
 
     def __init__(self, plan: Plan, announce: Callable[[str], None]) -> None:
         self._plan, self.announce = plan, announce
-        self._log: deque[str] = deque(maxlen=3)  # what the FMU last said
+        self._log: deque[str] = deque(maxlen=4)  # what the FMU last said
         self._handle = ctypes.c_void_p()
         self._inputs = blocks(self.types, plan["inputs"])
         self._outputs = blocks(self.types, plan["outputs"])
@@ -68,6 +68,11 @@ class Instance:
         try:
             return ctypes.CDLL(library)
         except OSError as error:
+            # A library may lack functions that it never calls, which only loading it lazily forgives.
+            open_lazily = ctypes.CDLL(None).dlopen
+            open_lazily.argtypes, open_lazily.restype = (ctypes.c_char_p, ctypes.c_int), ctypes.c_void_p
+            if handle := open_lazily(library.encode(), os.RTLD_LAZY):
+                return ctypes.CDLL(library, handle=handle)
             raise UnusableError(str(error).replace(f"{Path(library).parent}/", "")) from None
         finally:
             os.chdir(folder)
@@ -106,7 +111,9 @@ class Instance:
             self._log.append(" ".join(message.decode(errors="replace").split()))
 
     def _reason(self) -> str:
-        return self._log.pop() if self._log else _NO_REASON
+        said = "; ".join(self._log)
+        self._log.clear()
+        return said[-400:] or _NO_REASON
 
     def _fill_inputs(self, values: Sequence[float]) -> None:
         fill(self._inputs, values)

@@ -45,6 +45,7 @@ class Plan(TypedDict):
     resources: str | None
     logger_proxy: str | None  # library that expands the C format of FMI 2.0 messages
     event_mode: bool
+    variable_step: bool  # steps may be of any length
     discrete_inputs: bool  # some can only be set in event mode, if that is used
     start_time: float
     tolerance: float | None

@@ -24,7 +24,13 @@ _HINTS = {
     "soc": ("soc", "charge"),
 }
 # What modellers call them, at the end of a path.
-_SHORT = {"current_A": {"i"}, "power_W": {"p"}, "supply_V": {"u", "v"}, "voltage_V": {"u", "v"}}
+_SHORT = {
+    "current_A": {"i"},
+    "power_W": {"p"},
+    "supply_V": {"u", "v"},
+    "voltage_V": {"u", "v"},
+    "temperature_degC": {"t"},
+}
 
 Entry = str | list[str] | dict[str, str]  # of [plant.variables]
 

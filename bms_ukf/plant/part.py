@@ -86,6 +86,7 @@ class Part:
             "resources": self._resources(is_fmi2=is_fmi2),
             "logger_proxy": _logger_proxy() if is_fmi2 else None,
             "event_mode": co_simulation.hasEventMode,
+            "variable_step": co_simulation.canHandleVariableCommunicationStepSize,
             "discrete_inputs": any(variable.variability == "discrete" for variable in self._variables[0].values()),
             "start_time": self._start_time,
             "tolerance": float(experiment.tolerance) if experiment and experiment.tolerance else None,

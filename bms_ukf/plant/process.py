@@ -68,7 +68,7 @@ class FmuProcess:
                 stderr=subprocess.STDOUT,
                 pass_fds=[theirs.fileno()],
                 cwd=folder,
-                env={k: v for k, v in os.environ.items() if k not in {"DISPLAY", "WAYLAND_DISPLAY"}},
+                env=_environment(Path(plan["library"]).parent),
                 start_new_session=True,  # a group of its own, to be ended with all it started
             )
         self._reader = threading.Thread(target=self._drain, name=f"output of {label}", daemon=True)
@@ -221,3 +221,10 @@ class FmuProcess:
         with self._child.stdout as pipe:
             while data := os.read(pipe.fileno(), 4096):
                 self._output.append(data)
+
+
+def _environment(libraries: Path) -> dict[str, str]:
+    """No display; and what an FMU's library needs may lie beside it."""
+    kept = {name: value for name, value in os.environ.items() if name not in {"DISPLAY", "WAYLAND_DISPLAY"}}
+    paths = [str(libraries), *filter(None, [kept.get("LD_LIBRARY_PATH")])]
+    return kept | {"LD_LIBRARY_PATH": os.pathsep.join(paths)}

@@ -227,6 +227,11 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2R
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { (void)c; return 0; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { start(((Model *)c)->all); return 0; }
 fmi2Status fmi2Terminate(fmi2Component c) { (void)c; return 0; }
+fmi2Status fmi2Reset(fmi2Component c) { (void)c; return fmi2Error; }
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String x[])
+    { (void)c; (void)r; (void)n; (void)x; return fmi2Error; }
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String x[])
+    { (void)c; (void)r; (void)n; (void)x; return fmi2Error; }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean n) {
     (void)n; Model *m = c; m->reached = t + h; return advance(m->all, t, h, &m->reached);
 }
@@ -236,7 +241,8 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boo
     { (void)k; *x = ((Model *)c)->reached < 0; return 0; }
 """
 
-# Event mode: `advance` says by a status of 100 or more that an event has to be handled, which adds 1 to all[4095].
+# Event mode: `advance` says by a status of 100 or more that an event has to be handled, which adds 1 to all[4095];
+# all[4094] is when the next one is due, if it is not 0.
 _FMI3 = """
 const char *fmi3GetVersion(void) { return "3.0"; }
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String place, fmi3Boolean visible,
@@ -257,7 +263,10 @@ fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { start(((Model *)c)->all)
 fmi3Status fmi3EnterEventMode(fmi3Instance c) { ((Model *)c)->all[4095] += 1; return 0; }
 fmi3Status fmi3EnterStepMode(fmi3Instance c) { (void)c; return 0; }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need, fmi3Boolean *end, fmi3Boolean *a, fmi3Boolean *b,
-    fmi3Boolean *d, fmi3Float64 *t) { (void)c; (void)t; *need = *end = *a = *b = *d = false; return 0; }
+    fmi3Boolean *d, fmi3Float64 *t) {
+    double next = ((Model *)c)->all[4094];
+    *need = *end = *a = *b = false; *d = next > 0; *t = next; return 0;
+}
 fmi3Status fmi3Terminate(fmi3Instance c) { (void)c; return 0; }
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean n, fmi3Boolean *event, fmi3Boolean *end,
     fmi3Boolean *early, fmi3Float64 *last) {
