@@ -162,6 +162,14 @@ def test_a_step_that_fits_nothing_is_one_line(tmp_path):
         plant.step(1.0, SECOND)
 
 
+def test_a_step_the_fmu_refuses_is_one_line_with_its_length(tmp_path):
+    fmu = build(tmp_path / "c.fmu", step="if (h != 0.5) return 3;" + CELL_STEP)
+    with open_plant(fmu) as plant, pytest.raises(PlantError, match=r"a step of 1 s; step_s sets another"):
+        plant.step(1.0, SECOND)
+    with open_plant(fmu, step_s=0.5) as plant:
+        assert plant.step(0.0, SECOND).voltage_V == 3.5
+
+
 def test_the_fmus_clock_starts_where_its_experiment_does(tmp_path):
     step = "temperature_degC = t; return 0;"
     fmu = build(tmp_path / "c.fmu", step=step, experiment='startTime="100" stopTime="101" tolerance="1e-6"')
@@ -277,6 +285,7 @@ def test_a_local_variable_may_have_a_role(tmp_path):
     [
         (('unit="V"', 'unit="furlong"'), 'The unit "furlong" of variable "voltage_V"'),
         (('guid="{token}"', ""), "validate = false"),
+        (("<ModelVariables>", '<DefaultExperiment stepSize="often"/><ModelVariables>'), "often"),
     ],
 )
 def test_an_invalid_description_is_refused_until_told_not_to_look(tmp_path, change, expected):
@@ -293,6 +302,13 @@ def test_what_breaks_the_standard_runs_where_it_is_told_to(tmp_path):
         open_plant(fmu)
     with open_plant(fmu, validate=False) as plant:
         assert plant.step(1.0, SECOND).voltage_V == pytest.approx(3.4, abs=1e-3)
+
+
+def test_numbers_of_the_description_that_are_none_are_as_if_not_there(tmp_path):
+    experiment = '<DefaultExperiment startTime="now" stepSize="often" tolerance="none"/><ModelVariables>'
+    fmu = build(tmp_path / "c.fmu", replace=("<ModelVariables>", experiment))
+    with open_plant(fmu, validate=False) as plant:
+        assert plant.step(0.0, SECOND).voltage_V == 3.5
 
 
 def test_a_guid_the_library_does_not_have_is_one_line(tmp_path):

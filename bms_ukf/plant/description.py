@@ -43,15 +43,18 @@ def size(description: Any, variable: Any, structural: Mapping[int, int]) -> int:
     return math.prod(lengths)
 
 
-def start_of(variable: Any) -> float | None:
-    """The start value of a number, the first of an array's; None if it declares none."""
-    text = str(variable.start).split()[0] if variable.start else ""
-    if text in ("true", "false"):
-        return float(text == "true")
+def number(text: Any) -> float | None:
+    """A number of the model description, which fmpy leaves as text; None if it is none."""
     try:
         return float(text)
-    except ValueError:
+    except (TypeError, ValueError):
         return None
+
+
+def start_of(variable: Any) -> float | None:
+    """The start value of a number, the first of an array's; None if it declares none."""
+    text = next(iter(str(variable.start or "").split()), "")
+    return float(text == "true") if text in ("true", "false") else number(text)
 
 
 def wired(description: Any, variable: Any, structural: Mapping[int, int]) -> wire.Variable:

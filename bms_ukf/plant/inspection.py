@@ -14,7 +14,7 @@ from typing import Any
 from bms_ukf import resources
 from bms_ukf.errors import BmsError
 from bms_ukf.plant import archive, guess, quantities
-from bms_ukf.plant.description import size, start_of
+from bms_ukf.plant.description import number, size, start_of
 from bms_ukf.plant.guess import Entry
 from bms_ukf.plant.plant import open_plant
 from bms_ukf.plant.process import NotLoadedError
@@ -117,7 +117,7 @@ def _row(description: Any, variable: Any) -> tuple[str, ...]:
 
 def _scenario(fmu_name: str, description: Any, drive: str | None, roles: dict[str, Entry], *, valid: bool) -> list[str]:
     experiment = description.defaultExperiment
-    suggested_s = float((experiment and experiment.stepSize) or 0.0)
+    suggested_s = number(experiment and experiment.stepSize) or 0.0
     step_s = suggested_s if 0.1 <= suggested_s <= 3600 else 1.0
     parameters = [v for v in description.modelVariables if v.causality in ("parameter", "structuralParameter")]
     return [

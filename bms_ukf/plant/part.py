@@ -11,7 +11,7 @@ import fmpy
 from bms_ukf.errors import ConfigError, PlantError
 from bms_ukf.fmi import wire
 from bms_ukf.plant import archive
-from bms_ukf.plant.description import FLOATS, settings, start_of, structural_values, wired
+from bms_ukf.plant.description import FLOATS, number, settings, start_of, structural_values, wired
 from bms_ukf.plant.process import FmuProcess
 from bms_ukf.plant.table import PartTable
 
@@ -77,7 +77,7 @@ class Part:
         ]
         co_simulation, experiment = self.description.coSimulation, self.description.defaultExperiment
         is_fmi2 = self.description.fmiVersion.startswith("2.")
-        self._start_time = float((experiment and experiment.startTime) or 0.0)
+        self._start_time = number(experiment and experiment.startTime) or 0.0
         self._plan: wire.Plan = {
             "fmi": 2 if is_fmi2 else 3,
             "library": str(self._library),
@@ -89,7 +89,7 @@ class Part:
             "variable_step": co_simulation.canHandleVariableCommunicationStepSize,
             "discrete_inputs": any(variable.variability == "discrete" for variable in self._variables[0].values()),
             "start_time": self._start_time,
-            "tolerance": float(experiment.tolerance) if experiment and experiment.tolerance else None,
+            "tolerance": number(experiment and experiment.tolerance),
             "structural": structural,
             "parameters": parameters,
             "inputs": inputs,
@@ -141,7 +141,14 @@ class Part:
         """Waits for what `begin` sent off. Raises PlantError; only a "refused" step leaves the FMU where it was."""
         if self._sent_ns:
             sent_ns, self._sent_ns = self._sent_ns, 0
-            outputs = self._process.answer()
+            try:
+                outputs = self._process.answer()
+            except PlantError as error:
+                if error.kind == "refused" and not self._t_ns:  # it may be the length of the step
+                    raise PlantError(
+                        f"{error} (a step of {sent_ns * 1e-9:g} s; step_s sets another)", "refused"
+                    ) from None
+                raise
             self._t_ns += sent_ns
             self._take(outputs)
 
@@ -183,7 +190,7 @@ class Part:
         fixed_s = co_simulation.fixedInternalStepSize
         if fixed_s is None and not co_simulation.canHandleVariableCommunicationStepSize and experiment is not None:
             fixed_s = experiment.stepSize
-        return round(float(fixed_s or 0.0) * 1e9)
+        return round((number(fixed_s) or 0.0) * 1e9)
 
     def _resources(self, *, is_fmi2: bool) -> str | None:
         """FMI 2.0 has a URI, FMI 3.0 a path that ends with a separator, and nothing if there is no such folder."""
