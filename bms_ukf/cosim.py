@@ -18,7 +18,7 @@ from bms_ukf.config import Bus
 from bms_ukf.errors import PlantError
 from bms_ukf.estimator import Estimator
 from bms_ukf.links import BusLink, DirectLink, Link
-from bms_ukf.plant import Plant, PlantState
+from bms_ukf.plant import PlantState, open_plant
 from bms_ukf.records import Estimate, Sample
 from bms_ukf.scenario import Scenario
 from bms_ukf.sensors import SensorSet
@@ -55,15 +55,16 @@ def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Tra
     trace = Trace(len(profile.current_A))
     failure: PlantError | None = None
     started = time.perf_counter()
-    with _plant(scenario, path) as plant:
+    with open_plant(scenario.plant, path.parent) as plant:
         link = _link(scenario, path, estimator)
         try:
             for k, current_A in enumerate(profile.current_A.tolist(), start=1):
                 true = plant.step(current_A, step_ns)
-                sample = sensors.measure(true.t_ns, current_A, true.voltage_V, true.temperature_degC)
+                voltage_V, temperature_degC = float(true.voltage_V), float(true.temperature_degC)
+                sample = sensors.measure(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
                 estimate = link.exchange(sample)
-                given = Sample(true.t_ns, current_A, true.voltage_V, true.temperature_degC)
-                trace.append(sample, estimate, true.soc, given)
+                given = Sample(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
+                trace.append(sample, estimate, float(true.soc), given)
                 if watch is not None:
                     wall_s, frames = time.perf_counter() - started, (link.frames_in, link.frames_out)
                     watch(Progress(k, len(profile.current_A), wall_s, sample, estimate, true, *frames))
@@ -82,16 +83,6 @@ def _estimator(scenario: Scenario, path: Path) -> Estimator:
     return Estimator(CellParams.load(cell_path), tuning=scenario.estimator.tuning)
 
 
-def _plant(scenario: Scenario, path: Path) -> Plant:
-    table = scenario.plant
-    return Plant(
-        resources.find(table.fmu, "plants", ".fmu", relative_to=path.parent),
-        variables=table.variables,
-        parameters=table.parameters,
-        ambient_degC=table.ambient_degC,
-    )
-
-
 def _link(scenario: Scenario, path: Path, estimator: Estimator) -> Link:
     if scenario.bus.interface == "direct":
         return DirectLink(estimator)
@@ -104,7 +95,7 @@ def _summary(scenario: Scenario, trace: Trace, link: Link, wall_s: float) -> dic
     return {
         "scenario": scenario.name,
         "cell": scenario.estimator.cell,
-        "plant": scenario.plant.fmu,
+        "plant": scenario.plant.label,
         "bus": scenario.bus.interface,
         "seed": scenario.sensors.seed,
         "n": len(trace),

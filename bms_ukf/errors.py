@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
+
+PlantFailure = Literal["hang", "crash", "nan", "refused", "memory"]
 
 
 class BmsError(Exception):
@@ -26,7 +29,15 @@ class ConfigError(BmsError):
 
 
 class PlantError(BmsError):
-    """A plant that was accepted at start failed while running (an FMU returned an error, or a value is not finite)."""
+    """A plant that could be described failed while starting or running.
+
+    `kind` tells how: the FMU gave no answer in time ("hang"), its process ended ("crash"), an output is not finite
+    ("nan"), it returned an error ("refused"), or it took more memory than it may ("memory").
+    """
+
+    def __init__(self, text: str, kind: PlantFailure) -> None:
+        self.kind = kind
+        super().__init__(" ".join(text.split()))
 
 
 def _short(value: object, limit: int = 60) -> str:

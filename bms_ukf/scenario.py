@@ -9,19 +9,11 @@ from pydantic import Field, model_validator
 
 from bms_ukf import resources, toml
 from bms_ukf.loads import Load
+from bms_ukf.plant import PlantTable
 from bms_ukf.sensors import Sensors
 from bms_ukf.tuning import Tuning
 
 Text = Annotated[str, Field(min_length=1)]
-
-
-class PlantTable(toml.Section):
-    """[plant]: the FMU that is driven, and how it starts."""
-
-    fmu: Text  # a file, or the name of a shipped plant
-    parameters: dict[str, bool | int | float | str] = Field(default_factory=dict)  # start values, by FMU name
-    variables: dict[str, str] = Field(default_factory=dict)  # role = "FMU name"; a role left out has its own name
-    ambient_degC: float | None = None  # None: the FMU's own
 
 
 class BusTable(toml.Section):

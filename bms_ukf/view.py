@@ -87,7 +87,7 @@ class LiveView:
             table.add_column(width=15, justify="right")
         table.add_row("SoC estimated", _number(100 * float(estimate.soc), "%", 2), "voltage", _volt(sample.voltage_V))
         table.add_row("95 % band", _number(band_pct, "%", 2, "±"), "predicted", _volt(estimate.voltage_pred_V))
-        table.add_row("SoC true", _number(100 * true.soc, "%", 2), "current", _number(sample.current_A, "A", 2))
+        table.add_row("SoC true", _number(100 * float(true.soc), "%", 2), "current", _number(sample.current_A, "A", 2))
         table.add_row(
             "SoC error", self._error(progress), "temperature", _number(float(sample.temperature_degC), "°C", 1)
         )
@@ -174,13 +174,13 @@ def _plain_line(title: str, progress: Progress) -> str:
     return (
         f"{title}: {progress.step / progress.steps:4.0%}  {_clock(simulated_s)}  "
         f"SoC {_number(100 * float(estimate.soc), '%', 2)} {_number(band_pct, '%', 2, '±')}  "
-        f"true {_number(100 * progress.true.soc, '%', 2)}  error {_number(_error_pct(progress), '%', 2, '+')}  "
+        f"true {_number(100 * float(progress.true.soc), '%', 2)}  error {_number(_error_pct(progress), '%', 2, '+')}  "
         f"{estimate.status.word}"
     )
 
 
 def _error_pct(progress: Progress) -> float:
-    return 100 * (float(progress.estimate.soc) - progress.true.soc)
+    return 100 * (float(progress.estimate.soc) - float(progress.true.soc))
 
 
 def _number(value: float | None, unit: str, digits: int, sign: str = "") -> str:

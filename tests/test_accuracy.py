@@ -13,7 +13,7 @@ import pytest
 
 from bms_ukf import CellParams, Estimator, Tuning, metrics, resources
 from bms_ukf.loads import Load
-from bms_ukf.plant import Plant
+from bms_ukf.plant import open_plant
 
 
 class Drive(NamedTuple):
@@ -39,7 +39,7 @@ OFFSETS_A = (0.05, -0.05)
 def driven(drive: Drive, step_s: float = 1.0) -> np.ndarray:
     """True current, voltage, temperature and SoC, a row a step."""
     rows = []
-    with Plant(
+    with open_plant(
         resources.find("lgm50_spme", "plants", ".fmu"),
         parameters={"soc_initial": drive.soc},
         ambient_degC=drive.ambient_degC,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bms_ukf.cell import CellParams
-from bms_ukf.plant import Plant
+from bms_ukf.plant import open_plant
 
 ROOT = Path(__file__).resolve().parents[1]
 FMU = ROOT / "models" / "plants" / "lgm50_spme.fmu"
@@ -33,12 +33,12 @@ def ecm_fit():
 
 def test_the_open_circuit_voltage_is_the_plant_s_within_half_a_millivolt(cell):
     for soc in np.linspace(0.02, 1.0, 25):
-        with Plant(FMU, parameters={"soc_initial": float(soc)}) as plant:
+        with open_plant(FMU, parameters={"soc_initial": float(soc)}) as plant:
             assert plant.state.voltage_V == pytest.approx(float(cell.ocv_V(soc, 25.0)), abs=5e-4)
 
 
 def test_the_capacity_is_the_charge_the_plant_s_soc_counts(cell):
-    with Plant(FMU, parameters={"soc_initial": 0.9}) as plant:
+    with open_plant(FMU, parameters={"soc_initial": 0.9}) as plant:
         drawn = plant.state.soc - plant.step(2.5, 3600 * SECOND).soc
     assert cell.cell.capacity_Ah == pytest.approx(2.5 / drawn, rel=1e-4)
 
@@ -47,7 +47,7 @@ def test_the_capacity_is_the_charge_the_plant_s_soc_counts(cell):
 def test_the_circuit_follows_the_plant_open_loop_on_a_load_it_never_saw(cell, ambient_degC, limit_V):
     load = np.random.default_rng(7).normal(1.2, 2.5, 400).clip(-4, 9).repeat(4)
     soc, slow, errors = 0.8, np.zeros(2), []
-    with Plant(FMU, parameters={"soc_initial": soc}, ambient_degC=ambient_degC) as plant:
+    with open_plant(FMU, parameters={"soc_initial": soc}, ambient_degC=ambient_degC) as plant:
         for current_A in load:
             state = plant.step(current_A, SECOND)
             soc -= current_A / 3600 / cell.cell.capacity_Ah

@@ -12,7 +12,7 @@ import pytest
 import bms_ukf
 from bms_ukf import resources
 from bms_ukf.errors import ConfigError, PlantError
-from bms_ukf.plant import Plant
+from bms_ukf.plant import open_plant
 
 ROOT = Path(bms_ukf.__file__).parents[1]
 FMU = resources.find("lgm50_spme", "plants", ".fmu")
@@ -22,6 +22,7 @@ VARIABLE = (
     '<ScalarVariable name="{}" valueReference="{}" causality="{}" variability="continuous">'
     '<Real unit="{}" start="0"/></ScalarVariable>'
 )
+BARE = {"temperature_degC": "", "soc": ""}
 PLAIN = [("current_A", "input", "A"), ("ambient_degC", "input", "degC"), ("voltage_V", "output", "V")]
 
 
@@ -49,7 +50,7 @@ def make_fmu(tmp_path):
 def refusal(*args, **kwargs):
     """The one line with which a plant is refused."""
     with pytest.raises(ConfigError) as caught:
-        Plant(*args, **kwargs)
+        open_plant(*args, **kwargs).close()
     line = str(caught.value)
     assert "\n" not in line
     assert str(args[0]) in line
@@ -57,7 +58,7 @@ def refusal(*args, **kwargs):
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
-    assert "no such file" in refusal(tmp_path / "nothing.fmu")
+    assert "one of the shipped plants: lgm50_spme" in refusal(tmp_path / "nothing.fmu")
 
 
 def test_a_file_that_is_not_a_zip_is_refused(tmp_path):
@@ -91,7 +92,7 @@ def test_a_model_description_that_is_not_xml_is_refused(make_fmu):
 def test_an_fmu_for_model_exchange_only_is_refused(make_fmu):
     line = refusal(make_fmu({"modelDescription.xml": description(kind="ModelExchange")}))
     assert "model exchange only" in line
-    assert "FMI 2.0 co-simulation" in line
+    assert "FMI 2.0 or 3.0 co-simulation" in line
 
 
 def test_another_fmi_version_is_refused_with_its_number(make_fmu):
@@ -109,14 +110,14 @@ def test_another_fmi_version_is_refused_with_its_number(make_fmu):
 
 def test_an_fmu_for_other_platforms_is_refused_naming_them_and_ours(make_fmu):
     files = {"modelDescription.xml": description(), "binaries/win64/fake.dll": "", "binaries/darwin64/fake.dylib": ""}
-    line = refusal(make_fmu(files), variables={"temperature_degC": "", "soc": ""})
+    line = refusal(make_fmu(files), variables=BARE, validate=False)
     assert "darwin64, win64" in line
     assert "linux64" in line
 
 
 def test_a_library_that_does_not_load_is_refused(make_fmu):
     files = {"modelDescription.xml": description(), "binaries/linux64/fake.so": "not a library"}
-    assert "can be loaded here" in refusal(make_fmu(files), variables={"temperature_degC": "", "soc": ""})
+    assert "can be loaded here" in refusal(make_fmu(files), variables=BARE, validate=False)
 
 
 def test_a_misspelt_variable_is_refused_with_the_nearest_names():
@@ -127,17 +128,17 @@ def test_a_misspelt_variable_is_refused_with_the_nearest_names():
 
 
 def test_a_variable_the_fmu_lacks_is_refused_until_the_map_says_so(make_fmu):
-    path = make_fmu({"modelDescription.xml": description()})
-    assert "variables.temperature_degC" in refusal(path)
-    assert "binaries" in refusal(path, variables={"temperature_degC": "", "soc": ""})
+    path = make_fmu({"modelDescription.xml": description(), "binaries/linux64/fake.so": "not a library"})
+    assert "variables.temperature_degC" in refusal(path, validate=False)
+    assert "can be loaded here" in refusal(path, variables=BARE, validate=False)
 
 
 @pytest.mark.parametrize(
     ("variables", "expected"),
     [
         ({"volts": "voltage_V"}, "a role among current_A"),
-        ({"current_A": ""}, "a variable of the FMU"),
-        ({"current_A": "voltage_V"}, "a Real input"),
+        ({"current_A": ""}, "an input for current"),
+        ({"current_A": "voltage_V"}, "a variable in A"),
         ({"voltage_V": "temperature_degC"}, "a variable in V"),
     ],
 )
@@ -152,7 +153,7 @@ def test_a_role_mapped_to_the_wrong_thing_is_refused(variables, expected):
         ({"soc_initial": "half"}, "a value of FMI type Real"),
         ({"soc_initial": True}, "a value of FMI type Real"),
         ({"soc_initial": 1.5}, "not within [0, 1]"),
-        ({"soc": 0.5}, "no variable that has a role"),
+        ({"soc": 0.5}, "a variable that can be set"),
         ({"ambient_degC": 5.0}, "no variable that has a role"),
     ],
 )
@@ -167,7 +168,7 @@ def test_an_ambient_temperature_out_of_range_is_refused():
 
 
 def test_the_state_at_the_start_is_that_of_the_parameters():
-    with Plant(FMU, parameters={"soc_initial": 0.8}, ambient_degC=10.0) as plant:
+    with open_plant(FMU, parameters={"soc_initial": 0.8}, ambient_degC=10.0) as plant:
         assert plant.state.t_ns == 0
         assert plant.state.soc == pytest.approx(0.8)
         assert plant.state.temperature_degC == pytest.approx(10.0)
@@ -175,14 +176,14 @@ def test_the_state_at_the_start_is_that_of_the_parameters():
 
 def test_time_is_counted_exactly_over_steps_no_float_can_hold():
     step_ns = 100_000_000  # 0.1 s
-    with Plant(FMU) as plant:
+    with open_plant(FMU) as plant:
         for _ in range(2000):
             state = plant.step(1.0, step_ns)
         assert state.t_ns == 2000 * step_ns
 
 
 def test_current_is_positive_on_discharge():
-    with Plant(FMU) as plant:
+    with open_plant(FMU) as plant:
         rest = plant.state
         discharged = plant.step(5.0, SECOND)
         assert discharged.voltage_V < rest.voltage_V
@@ -190,7 +191,7 @@ def test_current_is_positive_on_discharge():
 
 
 def test_a_new_ambient_temperature_acts_from_the_next_step():
-    with Plant(FMU, ambient_degC=25.0) as plant:
+    with open_plant(FMU, ambient_degC=25.0) as plant:
         plant.step(0.0, SECOND)
         plant.set_ambient(0.0)
         assert plant.state.temperature_degC == pytest.approx(25.0)
@@ -198,7 +199,7 @@ def test_a_new_ambient_temperature_acts_from_the_next_step():
 
 
 def test_a_role_the_map_leaves_out_reads_as_not_measured():
-    with Plant(FMU, variables={"soc": "", "ambient_degC": ""}) as plant:
+    with open_plant(FMU, variables={"soc": "", "ambient_degC": ""}) as plant:
         plant.set_ambient(40.0)
         state = plant.step(1.0, SECOND)
         assert state.soc != state.soc
@@ -206,7 +207,7 @@ def test_a_role_the_map_leaves_out_reads_as_not_measured():
 
 
 def test_a_step_the_fmu_refuses_names_the_fmu_the_time_and_its_reason():
-    with Plant(FMU, parameters={"soc_initial": 0.1}) as plant:
+    with open_plant(FMU, parameters={"soc_initial": 0.1}) as plant:
         with pytest.raises(PlantError) as caught:
             plant.step(5.0, 3600 * SECOND)
         assert plant.step(-5.0, SECOND).t_ns == SECOND
@@ -217,20 +218,13 @@ def test_a_step_the_fmu_refuses_names_the_fmu_the_time_and_its_reason():
     assert "\n" not in line
 
 
-def test_an_output_that_is_not_finite_stops_the_plant(monkeypatch):
-    with Plant(FMU) as plant:
-        monkeypatch.setattr(plant._fmu, "read", lambda: [float("nan"), 25.0, 0.5])
-        with pytest.raises(PlantError, match="outputs at t = 1 s: voltage_V"):
-            plant.step(1.0, SECOND)
-
-
-def test_closing_removes_the_unpacked_files_and_may_be_repeated():
-    plant = Plant(FMU)
-    folder = Path(plant._fmu._slave.unzipDirectory)
-    assert (folder / "binaries").is_dir()
+def test_closing_removes_the_unpacked_files_and_may_be_repeated(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    plant = open_plant(FMU)
+    assert list(tmp_path.glob("plant-*/binaries"))
     plant.close()
     plant.close()
-    assert not folder.exists()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_refused_fmu_leaves_no_files_behind(tmp_path, monkeypatch):

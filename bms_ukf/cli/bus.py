@@ -74,7 +74,7 @@ def cosim(
 ) -> None:
     """Run a SCENARIO: a plant FMU, a load, sensors, a bus and the estimator."""
     if fmu is not None:
-        from bms_ukf import inspection
+        from bms_ukf.plant import inspection
 
         click.echo(inspection.describe(fmu))
         return
@@ -86,4 +86,4 @@ def cosim(
     if json_path is not None:
         write_json(json_path, summary)
     if failure := summary["plant_failure"]:
-        raise PlantError(failure)
+        raise PlantError(failure, "refused")

@@ -23,7 +23,7 @@ from scipy.interpolate import PchipInterpolator
 
 from bms_ukf import resources
 from bms_ukf.loads import Vehicle, read_series
-from bms_ukf.plant import Plant
+from bms_ukf.plant import open_plant
 
 HERE = Path(__file__).parent
 PLANT = HERE.parent / "plants" / "lgm50_spme.fmu"
@@ -38,7 +38,7 @@ class Cycler:
 
     def __init__(self, ambient_degC: float) -> None:
         self.ambient_degC = ambient_degC
-        self.plant = Plant(PLANT, parameters={"soc_initial": 1.0}, ambient_degC=ambient_degC)
+        self.plant = open_plant(PLANT, parameters={"soc_initial": 1.0}, ambient_degC=ambient_degC)
         self.rows: list[tuple[float, float, float, float]] = []
 
     def apply(self, currents_A: Iterable[float], step_s: float = 1.0, upper_V: float = UPPER_V) -> bool:

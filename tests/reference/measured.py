@@ -9,7 +9,7 @@ import numpy as np
 
 from bms_ukf import resources
 from bms_ukf.loads import Load
-from bms_ukf.plant import Plant
+from bms_ukf.plant import open_plant
 
 HEADER = "time_s,current_A,voltage_V,temperature_C,soc_ref"  # positive = charge
 DRIVE = [{"rest_s": 60}, {"cycle": "wltc_3b"}]
@@ -20,7 +20,7 @@ def record(segments: list[dict[str, Any]], soc: float, ambient_degC: float = 25.
     """Rows of HEADER at 1 Hz, from sensors with some noise."""
     fmu = resources.find("lgm50_spme", "plants", ".fmu")
     rows = []
-    with Plant(fmu, parameters={"soc_initial": soc}, ambient_degC=ambient_degC) as plant:
+    with open_plant(fmu, parameters={"soc_initial": soc}, ambient_degC=ambient_degC) as plant:
         for k, current_A in enumerate(Load(segments=segments).profile(1.0).current_A.tolist(), start=1):
             state = plant.step(current_A, 10**9)
             rows.append((k, -current_A, state.voltage_V, state.temperature_degC, state.soc))
