@@ -53,6 +53,7 @@ MAY_IMPORT = {
         "tuning",
     },
     "ecm_tables": {"cell", "errors", "identify", "toml"},
+    "loads": {"errors", "loads", "resources"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
     "scaling": {"cell"},
