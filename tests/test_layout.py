@@ -54,6 +54,7 @@ MAY_IMPORT = {
     },
     "ecm_tables": {"cell", "errors", "identify", "toml"},
     "loads": {"errors", "loads", "resources"},
+    "sensors": {"errors", "records"},
     "fmu": {"errors"},
     "plant": {"errors", "fmu", "records", "resources"},
     "scaling": {"cell"},
