@@ -115,8 +115,8 @@ class Sensors(BaseModel):
 class Sensor:
     """One channel, of one value or of one for each cell.
 
-    What is random of it depends on `seed` and its own `name` alone, so that another channel cannot change it; noise, walk
-    and what is drawn at the start are apart, so that one cannot change another.
+    What is random of it depends on `seed` and its own `name` alone, so that another channel cannot change it; noise,
+    walk and what is drawn at the start are apart, so that one cannot change another.
     """
 
     def __init__(self, settings: SensorSettings, seed: int, name: str) -> None:
