@@ -19,7 +19,7 @@ lint: .venv/test
 	$(BIN)/mypy
 
 plant: .venv/runtime compiler
-	$(BIN)/python models/fmi2/build.py models/lgm50_spme models/plants/lgm50_spme.fmu
+	$(BIN)/python -m bms_ukf.fmumaker models/lgm50_spme models/plants/lgm50_spme.fmu
 
 bench: .venv/test compiler
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

@@ -15,7 +15,7 @@ from typing import Any
 from bms_ukf import metrics, resources
 from bms_ukf.cell import CellParams
 from bms_ukf.config import Bus
-from bms_ukf.errors import PlantError
+from bms_ukf.errors import ConfigError, PlantError
 from bms_ukf.estimator import Estimator
 from bms_ukf.links import BusLink, DirectLink, Link
 from bms_ukf.plant import PlantState, open_plant
@@ -45,20 +45,21 @@ Watch = Callable[[Progress], None]
 def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Trace, dict[str, Any]]:
     """Run a scenario (found at `path`) to the end of its load: the trace, a row per step, and the summary.
 
-    `watch` is called after every step. If the plant fails on the way the run ends there, and the summary says why under
-    `plant_failure`. Raises ConfigError for what the scenario names and is not usable; PlantError if there is no row.
+    `watch` is called after every step, and told how many there are at most. If the plant fails on the way the run ends
+    there, and the summary says why under `plant_failure`. Raises ConfigError for what the scenario names and is not
+    usable, and for a load without a step; PlantError if the plant fails in the first.
     """
-    profile = scenario.load.profile(scenario.step_s, relative_to=path.parent)
+    demand = scenario.load.demand(scenario.step_s, relative_to=path.parent)
     step_ns = round(scenario.step_s * 1e9)
     sensors = SensorSet(scenario.sensors)
     estimator = _estimator(scenario, path)
-    trace = Trace(len(profile.current_A))
+    trace = Trace(min(demand.steps_at_most, 100_000))
     failure: PlantError | None = None
     started = time.perf_counter()
     with open_plant(scenario.plant, path.parent) as plant:
         link = _link(scenario, path, estimator)
         try:
-            for k, current_A in enumerate(profile.current_A.tolist(), start=1):
+            while (current_A := demand.next(plant.state.voltage_V, plant.state.soc)) is not None:
                 true = plant.step(current_A, step_ns)
                 voltage_V, temperature_degC = float(true.voltage_V), float(true.temperature_degC)
                 sample = sensors.measure(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
@@ -67,13 +68,15 @@ def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Tra
                 trace.append(sample, estimate, float(true.soc), given)
                 if watch is not None:
                     wall_s, frames = time.perf_counter() - started, (link.frames_in, link.frames_out)
-                    watch(Progress(k, len(profile.current_A), wall_s, sample, estimate, true, *frames))
+                    watch(Progress(len(trace), demand.steps_at_most, wall_s, sample, estimate, true, *frames))
         except PlantError as error:
             if not len(trace):
                 raise
             failure = error
         finally:
             link.close()
+    if not len(trace):
+        raise ConfigError(path, key="load", expected="at least one step before its limits are reached")
     summary = _summary(scenario, trace, link, time.perf_counter() - started)
     return trace, summary | {"plant_failure": None if failure is None else str(failure)}
 

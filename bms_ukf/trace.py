@@ -49,7 +49,7 @@ _UNKNOWN = Sample(0)
 
 
 class Trace:
-    """Columns for up to `capacity` rows of one cell; `trace["soc"]` is a view of shape (rows so far,).
+    """Columns for the rows of one cell, `capacity` at first; `trace["soc"]` is a view of shape (rows so far,).
 
     Number columns are float64 with NaN for missing. `status` and `faults` are integer columns of the records' values.
     """
@@ -95,8 +95,10 @@ class Trace:
         return self._numbers[: self._n, _NUMBERS.index(column)]
 
     def append(self, sample: Sample, estimate: Estimate, soc_ref: float = NAN, true: Sample = _UNKNOWN) -> None:
-        """Add a row stamped by `sample`. `true` holds the plant's own values. Raises IndexError beyond the capacity."""
+        """Add a row stamped by `sample`. `true` holds the plant's own values. Views taken before may not show it."""
         row = self._n
+        if row == self._t_ns.size:
+            self._grow(2 * row + 1)
         self._t_ns[row] = sample.t_ns
         self._numbers[row, :_APPENDED] = (
             estimate.soc,
@@ -125,6 +127,12 @@ class Trace:
         }
         estimated = {name: self[name] for name in _ESTIMATED}
         return {"time_s": self.t_ns / 1e9} | estimated | words | {name: self[name] for name in optional}
+
+    def _grow(self, capacity: int) -> None:
+        larger = Trace(capacity)
+        larger._t_ns[: self._n], larger._numbers[: self._n] = self._t_ns, self._numbers
+        larger._words[: self._n] = self._words
+        self._t_ns, self._numbers, self._words = larger._t_ns, larger._numbers, larger._words
 
     def write_csv(self, path: Path) -> None:
         """Write all rows, numbers with 9 significant digits. Raises ConfigError if `path` cannot be written."""

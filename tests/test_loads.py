@@ -188,8 +188,8 @@ def test_a_step_that_does_not_fit_is_refused(step_s: float) -> None:
 @pytest.mark.parametrize(
     ("segment", "named"),
     [
-        ({}, "one of cycle, csv, current_A, rest_s"),
-        ({"cycle": "udds", "rest_s": 3}, "one of cycle, csv, current_A, rest_s"),
+        ({}, "one of cycle, csv, current_A, power_W, rest_s, cccv_A, schedule, voltage_V"),
+        ({"cycle": "udds", "rest_s": 3}, "one of cycle, csv, current_A, power_W, rest_s, cccv_A, schedule, voltage_V"),
         ({"current_A": 1.0}, "duration_s"),
         ({"cycle": "udds", "repeats": 3}, "repeats"),
         ({"rest_s": -1}, "rest_s"),

@@ -103,15 +103,15 @@ def test_a_written_trace_reads_back(tmp_path_factory, numbers, t_ns, status, fau
         assert back[name] == pytest.approx(trace[name], rel=1e-8, abs=1e-30, nan_ok=True)
 
 
-def test_columns_show_only_the_rows_appended_and_the_capacity_is_a_limit() -> None:
+def test_columns_show_only_the_rows_appended_and_grow_beyond_the_first_capacity() -> None:
     trace = Trace(2)
     assert trace["soc"].shape == trace.t_s.shape == trace.status.shape == (0,)
     trace.append(*FULL)
     assert trace["soc"].tolist() == [0.5]
     trace.append(*EMPTY)
-    with pytest.raises(IndexError):
-        trace.append(*FULL)
-    assert len(trace) == 2
+    trace.append(*FULL)
+    assert len(trace) == trace.t_s.size == trace.status.size == 3
+    assert trace["soc"].tolist() == pytest.approx([0.5, math.nan, 0.5], nan_ok=True)
 
 
 def test_a_place_that_cannot_be_written_is_named() -> None:

@@ -1,124 +1,24 @@
-"""Writes spme_casadi.c and .h: PyBaMM's SPMe of the LG M50, exported through CasADi. Needs the `plant` extra.
+"""Writes cell.c, cell.h and fmu.toml of the shipped plant. Needs the `plant` extra.
 
-    python models/lgm50_spme/regenerate.py
-
-Model: `pybamm.lithium_ion.SPMe({"thermal": "lumped"})`, parameter set Chen2020, unchanged except that the current, the
-ambient temperature and the state of charge at the start are inputs. The mesh is chosen in README.md.
+python models/lgm50_spme/regenerate.py
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import casadi
-import pybamm
-
-HERE = Path(__file__).parent
-ELECTRODE_POINTS, SEPARATOR_POINTS, PARTICLE_POINTS, PARTICLE_STRETCH = 10, 4, 20, 3.0
-INPUTS = ["Current function [A]", "Ambient temperature [K]", "soc_initial"]
-OUTPUTS = [
-    "Voltage [V]",
-    "X-averaged cell temperature [C]",
-    "Negative electrode stoichiometry",
-    "X-averaged negative particle surface stoichiometry",
-    "X-averaged positive particle surface stoichiometry",
-]
-# Charge counters that nothing in the model depends on.
-UNUSED_STATES = ["Discharge capacity [A.h]", "Throughput capacity [A.h]"]
+from bms_ukf.plantmaker import folder, models
 
 
-def parameters() -> tuple[pybamm.ParameterValues, tuple[float, float]]:
-    """Chen2020 with `INPUTS` as inputs, and the negative stoichiometries at 0 % and 100 % (2.5 V and 4.2 V at rest)."""
-    values = pybamm.ParameterValues("Chen2020")
-    x_0, x_100, y_100, y_0 = pybamm.lithium_ion.ElectrodeSOHSolver(values).get_min_max_stoichiometries()
-    soc = pybamm.InputParameter("soc_initial")
-    full_n = values["Maximum concentration in negative electrode [mol.m-3]"]
-    full_p = values["Maximum concentration in positive electrode [mol.m-3]"]
-    values.update(
-        {
-            "Current function [A]": "[input]",
-            "Ambient temperature [K]": "[input]",
-            "Initial temperature [K]": pybamm.InputParameter("Ambient temperature [K]"),
-            "Initial concentration in negative electrode [mol.m-3]": full_n * (x_0 + soc * (x_100 - x_0)),
-            "Initial concentration in positive electrode [mol.m-3]": full_p * (y_0 + soc * (y_100 - y_0)),
-        }
-    )
-    return values, (float(x_0), float(x_100))
-
-
-def simulation(values: pybamm.ParameterValues, **options: Any) -> pybamm.Simulation:
-    """The SPMe on the plant's mesh; `options` go to pybamm.Simulation (a solver, another mesh)."""
-    model = pybamm.lithium_ion.SPMe({"thermal": "lumped"})
-    submeshes = model.default_submesh_types
-    for particle in ("negative particle", "positive particle"):
-        submeshes[particle] = pybamm.MeshGenerator(
-            pybamm.Exponential1DSubMesh, {"side": "right", "stretch": PARTICLE_STRETCH}
-        )
-    points = {
-        "x_n": ELECTRODE_POINTS,
-        "x_s": SEPARATOR_POINTS,
-        "x_p": ELECTRODE_POINTS,
-        "r_n": PARTICLE_POINTS,
-        "r_p": PARTICLE_POINTS,
-    }
-    return pybamm.Simulation(
-        model, **{"parameter_values": values, "var_pts": points, "submesh_types": submeshes} | options
-    )
-
-
-def export() -> None:
-    """Writes the three functions `spme_initial`, `spme_rhs`, `spme_outputs` and the bound `spme_radius`."""
-    values, (x_0, x_100) = parameters()
-    sim = simulation(values)
-    sim.build()
-    model = sim.built_model
-    unused = [model.y_slices[v][0] for v in model.y_slices if v.name in UNUSED_STATES]
-    first = max(piece.stop for piece in unused)
-    parts = model.export_casadi_objects(OUTPUTS, INPUTS)
-    n_x = parts["x"].shape[0] - first
-
-    x, u = casadi.SX.sym("x", n_x), casadi.SX.sym("u", len(INPUTS))
-    everything = [parts["t"], parts["x"], parts["z"], parts["inputs"]]
-    at = [0, casadi.vertcat(casadi.SX.zeros(first), x), casadi.SX.zeros(0), u]
-    rhs = casadi.Function("rhs", everything, [parts["rhs"]])(*at)[first:]
-    outputs = casadi.Function("outputs", everything, [casadi.vertcat(*parts["variables"].values())])(*at)
-    initial = casadi.Function("initial", [parts["inputs"]], [parts["x0"]])(u)[first:]
-    outputs[2] = (outputs[2] - x_0) / (x_100 - x_0)
-    # The largest row sum of |Jacobian| bounds its spectral radius (Gershgorin), and is close to it for diffusion. The
-    # last state, the temperature, is slower by far and drives no other state strongly: its row would only cost time.
-    radius = casadi.mmax(casadi.sum2(casadi.fabs(casadi.jacobian(rhs[:-1], x))))
-
-    code = casadi.CodeGenerator("spme_casadi.c", {"casadi_int": "int"})
-    for name, arguments, result in (
-        ("spme_initial", [u], initial),
-        ("spme_rhs", [x, u], rhs),
-        ("spme_outputs", [x, u], outputs),
-        ("spme_radius", [x, u], radius),
-    ):
-        code.add(casadi.Function(name, arguments, [result], {"cse": True}))
-    generated = code.dump()
-    versions = f"PyBaMM {pybamm.__version__}, CasADi {casadi.__version__}"
-    (HERE / "spme_casadi.c").write_text(
-        f"/* Generated by regenerate.py with {versions}: do not edit. */\n"
-        '#pragma GCC diagnostic ignored "-Wunused-parameter"\n'
-        # glibc 2.35 gave hypot a new symbol version, so that older systems would refuse it; nothing here overflows.
-        "#include <math.h>\n#define hypot(x, y) sqrt((x) * (x) + (y) * (y))\n" + generated
-    )
-    declare = "(const double **arg, double **res, int *iw, double *w, int mem);"
-    (HERE / "spme_casadi.h").write_text(
-        f"/* Generated by regenerate.py with {versions}: do not edit. */\n"
-        "#ifndef SPME_CASADI_H\n#define SPME_CASADI_H\n\n"
-        f"#define SPME_N_X {n_x}\n\n"
-        "/* Inputs u: current (A, positive = discharge), ambient temperature (K), SoC at the start.\n"
-        "   Outputs: voltage (V), temperature (degC), SoC, surface stoichiometries (negative, positive). */\n"
-        f"#define SPME_N_U {len(INPUTS)}\n#define SPME_N_OUTPUTS {len(OUTPUTS)}\n\n"
-        f"int spme_initial{declare} /* u -> x */\n"
-        f"int spme_rhs{declare}     /* x, u -> dx/dt */\n"
-        f"int spme_outputs{declare} /* x, u -> outputs */\n"
-        f"int spme_radius{declare}  /* x, u -> bound on the spectral radius of d(rhs)/dx, 1/s */\n\n#endif\n"
+def main() -> None:
+    folder.write(
+        models.load("SPMe", "Chen2020"),
+        Path(__file__).parent,
+        name="lgm50_spme",
+        description="LG M50 cell (5 Ah): single-particle model with electrolyte, lumped thermal",
+        reference="PyBaMM SPMe, parameter set Chen2020; see documentation/README.md",
     )
 
 
 if __name__ == "__main__":
-    export()
+    main()

@@ -1,9 +1,11 @@
-/* What a model gives to the FMI layer (fmi2.c). Each model's folder holds a state.h that defines
+/* What a model gives to the FMI layer (instance.c with fmi2.c or fmi3.c). Each model's folder holds a state.h that
+   defines
 
-       typedef struct { double value[N_VARIABLES]; ... } Model;
+       typedef struct { double value[N_VALUES]; ... } Model;
 
    with no pointers in it, because an FMU state is a copy of its bytes. variables.h is generated from the model's
-   fmu.toml: the enum of value references, and a table of start values and limits in the same order.
+   fmu.toml: an enum of the place in value[] of each variable (of an array, of its first element), and a table of
+   start values and limits in the same order.
 
    Each function returns NULL, or one constant sentence saying why it failed; after a failure the FMI layer restores
    the Model to what it was before the call. */

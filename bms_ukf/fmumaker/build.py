@@ -1,0 +1,117 @@
+"""Builds the FMU of a model's folder for this machine. Needs a C compiler.
+
+    python -m bms_ukf.fmumaker models/lgm50_spme models/plants/lgm50_spme.fmu
+
+The folder's fmu.toml is the one table of variables (`table.py`). The FMU carries its sources, the FMI headers and the
+folder's README.md. The same inputs and compiler give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import os
+import subprocess
+import tempfile
+import uuid
+import zipfile
+from pathlib import Path
+
+import fmpy
+
+from bms_ukf import toml
+from bms_ukf.errors import BmsError, ConfigError
+from bms_ukf.fmumaker.description import all_sources, build_description, describe
+from bms_ukf.fmumaker.table import Table, header
+
+SHARED = Path(__file__).parent / "c"
+FMI_HEADERS = {
+    2: ["fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"],
+    3: ["fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"],
+}
+# No contraction into fused multiply-add: every x86-64 and aarch64 compiler then computes the same trace.
+FLAGS = ["-std=c11", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+LINK_FLAGS = ["-shared", "-fPIC", "-fvisibility=hidden", "-s", "-Wl,--build-id=none"]
+
+
+class BuildError(BmsError):
+    """The C compiler is not there, or does not take the sources."""
+
+
+def build(folder: Path, fmu: Path, fmi: int = 2) -> None:
+    """Writes `fmu`, for FMI 2.0 (`fmi` = 2) or 3.0 (3), from the model in `folder`.
+
+    Raises ConfigError for a fmu.toml that is not sound or names a file that is not there, BuildError if there is no
+    compiler or it fails.
+    """
+    table = toml.load(folder / "fmu.toml", Table)
+    model = table.model
+    sources = [_find(folder, name) for name in all_sources(table, fmi)]
+    headers = [_find(folder, name) for name in (*model.headers, "model.h", "instance.h")]
+    headers += [Path(fmpy.__file__).parent / "c-code" / name for name in FMI_HEADERS[fmi]]
+    token = _token(table, [*sources, *headers])
+    readme = (folder / "README.md").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch)
+        (root / "sources").mkdir()
+        for path in (*sources, *headers):
+            (root / "sources" / path.name).write_bytes(path.read_bytes())
+        (root / "sources" / "variables.h").write_text(header(table, token))
+        if fmi == 3:
+            (root / "sources" / "buildDescription.xml").write_bytes(build_description(table))
+        (root / "documentation").mkdir()
+        (root / "documentation" / "README.md").write_text(readme)
+        (root / "documentation" / "index.html").write_text(
+            f'<!DOCTYPE html><meta charset="utf-8"><title>{model.name}</title><pre>{html.escape(readme)}</pre>\n'
+        )
+        (root / "modelDescription.xml").write_bytes(describe(table, token, fmi))
+        library = root / "binaries" / _platform(fmi) / f"{model.name}{fmpy.sharedLibraryExtension}"
+        _compile([root / "sources" / path.name for path in sources], library)
+        _zip(root, fmu)
+
+
+def _platform(fmi: int) -> str:
+    """The name of this machine's folder of libraries."""
+    return str(fmpy.platform) if fmi == 2 else str(fmpy.platform_tuple)
+
+
+def _find(folder: Path, name: str) -> Path:
+    for path in (folder / name, SHARED / name):
+        if path.is_file():
+            return path
+    raise ConfigError(folder / "fmu.toml", key="model", value=name, expected=f"a file there, or in {SHARED}")
+
+
+def _token(table: Table, files: list[Path]) -> str:
+    """Changes with the table and with any source, so that a saved FMU state is only taken by the code that wrote it."""
+    digest = hashlib.sha256(table.model_dump_json().encode())
+    for path in files:
+        digest.update(path.read_bytes())
+    return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
+
+
+def _compile(sources: list[Path], library: Path) -> None:
+    """Compiles C files that lie in one folder with their headers."""
+    compiler = os.environ.get("CC", "cc")
+    library.parent.mkdir(parents=True)
+    command = [compiler, *FLAGS, *LINK_FLAGS, "-o", str(library), *(path.name for path in sources), "-lm"]
+    try:
+        done = subprocess.run(command, cwd=sources[0].parent, capture_output=True, text=True, check=False)
+    except OSError:
+        raise BuildError(
+            f"{compiler}: no such C compiler; install one (apt install gcc libc6-dev) or name it in CC"
+        ) from None
+    if done.returncode:
+        says = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip()[-200:])
+        raise BuildError(f"{compiler} does not compile {library.stem}: {says}")
+
+
+def _zip(root: Path, target: Path) -> None:
+    """Zips a folder with sorted names and a fixed date."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for path in sorted(p for p in root.rglob("*") if p.is_file()):
+            entry = zipfile.ZipInfo(path.relative_to(root).as_posix(), date_time=(1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, path.read_bytes())

@@ -1,0 +1,84 @@
+"""`python -m bms_ukf.plantmaker FMU --model SPMe --parameters Chen2020`"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import sys
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from bms_ukf.errors import BmsError, ConfigError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m bms_ukf.plantmaker",
+        description="Makes a plant FMU without Python of a PyBaMM model and parameter set.",
+    )
+    parser.add_argument("fmu", type=Path, help="to write")
+    parser.add_argument("--model", default="SPMe", help="SPM, SPMe or Thevenin (default SPMe)")
+    parser.add_argument("--parameters", default="Chen2020", help="a parameter set of PyBaMM (default Chen2020)")
+    parser.add_argument("--thermal", choices=("lumped", "isothermal"), default="lumped")
+    parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version (default 2)")
+    parser.add_argument("--series", type=_at_least_one, metavar="N", help="cells in series, as arrays of N")
+    parser.add_argument("--spread-capacity", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
+    parser.add_argument("--spread-resistance", type=_sigma, default=0.0, metavar="SIGMA", help="of its own, e.g. 0.1")
+    parser.add_argument("--spread-soc", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
+    parser.add_argument("--seed", type=int, default=0, help="of the spread")
+    parser.add_argument("--soc-initial", type=float, default=0.5)
+    parser.add_argument("--sources", type=Path, metavar="DIR", help="keep the C sources and the table there")
+    given = parser.parse_args(arguments)
+    command = f"python -m bms_ukf.plantmaker {shlex.join(arguments if arguments is not None else sys.argv[1:])}"
+    try:
+        _make(given, command)
+    except BmsError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    sys.stdout.write(f"{given.fmu}: {given.fmu.stat().st_size} bytes\n")
+    return 0
+
+
+def _make(given: argparse.Namespace, command: str) -> None:
+    if not 0 <= given.soc_initial <= 1:
+        raise ConfigError("plantmaker", key="--soc-initial", value=given.soc_initial, expected="0 to 1")
+    with warnings.catch_warnings(), tempfile.TemporaryDirectory() as scratch:
+        warnings.simplefilter("ignore")  # PyBaMM's own, of what it does not use here
+        from bms_ukf.fmumaker.build import build
+        from bms_ukf.plantmaker import folder, models
+
+        cell = models.load(given.model, given.parameters, given.thermal)
+        sources = given.sources or Path(scratch)
+        sources.mkdir(parents=True, exist_ok=True)
+        cells = f", {given.series} in series" if given.series else ""
+        folder.write(
+            cell,
+            sources,
+            name=re.sub(r"\W", "_", given.fmu.stem) if given.fmu.stem[:1].isalpha() else f"plant_{given.model}",
+            description=f"{given.model} cell, parameter set {given.parameters}, {given.thermal}{cells}",
+            reference="PyBaMM; see documentation/README.md",
+            series=given.series,
+            spread=folder.Spread(given.spread_capacity, given.spread_resistance, given.spread_soc, given.seed),
+            soc_initial=given.soc_initial,
+        )
+        (sources / "README.md").write_text(folder.page(cell, command), encoding="utf-8")
+        build(sources, given.fmu, given.fmi)
+
+
+def _at_least_one(text: str) -> int:
+    if (number := int(text)) < 1:
+        raise argparse.ArgumentTypeError("at least 1")
+    return number
+
+
+def _sigma(text: str) -> float:
+    if not 0 <= (number := float(text)) <= 0.3:
+        raise argparse.ArgumentTypeError("0 to 0.3")
+    return number
+
+
+if __name__ == "__main__":
+    sys.exit(main())
