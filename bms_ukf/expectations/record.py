@@ -37,16 +37,16 @@ class FaultFigures:
 class Record:
     """A row a step. One without an answer has no SoC; a receiver goes by the last answer until it is SILENT_S old."""
 
-    def __init__(self, steps: int, faults: Sequence[Injection]) -> None:
-        self.trace = Trace(steps)
+    def __init__(self, faults: Sequence[Injection]) -> None:
+        self.trace = Trace(1000)
         self.faults = sorted(faults, key=lambda fault: fault.at_s)
         self.stored = Stored.NONE  # what the daemon's last start made of its state file, as told on the bus
         self.plant_failure: str | None = None  # how it failed; see `PlantError`
-        self._answered = np.zeros(steps, dtype=bool)
+        self._answered: list[bool] = []
 
     def append(self, sample: Sample, answer: Estimate | None, true: PlantState) -> None:
         """Of several cells the mean is kept: of the values that were measured, and of the true ones."""
-        self._answered[len(self.trace)] = answer is not None
+        self._answered.append(answer is not None)
         told = answer or Estimate(sample.t_ns, status=Status.INVALID)
         self.trace.append(_whole(sample), told, _mean(true.soc), _whole(true))
 
@@ -57,7 +57,7 @@ class Record:
 
     @property
     def answered(self) -> NDArray[np.bool_]:
-        return self._answered[: len(self.trace)]
+        return np.array(self._answered, dtype=bool)
 
     def error(self) -> NDArray[np.float64]:
         """SoC minus truth, 0..1; NaN in rows without a SoC on the bus."""

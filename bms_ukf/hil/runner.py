@@ -12,9 +12,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 
-from bms_ukf.errors import PlantError
+from bms_ukf.errors import ConfigError, PlantError
 from bms_ukf.expectations.base import Verdict
 from bms_ukf.expectations.record import Record
 from bms_ukf.faults.can import Wire
@@ -50,22 +51,23 @@ def run(
 
 
 def _run(scenario: Scenario, path: Path, unit: Unit, result: Result, watch: Watch | None) -> None:
-    load = scenario.load.profile(scenario.step_s, relative_to=path.parent).current_A.tolist()
     step_ns = round(scenario.step_s * 1e9)
     wire = Wire(scenario.fault, scenario.sensors.seed)
     encoder, receiver = SampleEncoder(scenario.cells), Receiver()
-    record = result.record = Record(len(load), scenario.fault)
     with ExitStack() as stack:
         source = stack.enter_context(Source(scenario, path))
+        record = result.record = Record(scenario.fault)
         stack.enter_context(unit)
         timeline = Timeline(scenario.fault, unit)
         started = time.perf_counter()
         try:
-            for k, asked in enumerate(load, start=1):
+            for k in count(1):
                 t_ns = k * step_ns
+                if (stepped := source.step(t_ns)) is None:
+                    break
+                true, sample = stepped
                 result.overruns += not unit.advance(t_ns)
                 timeline.reach(t_ns)
-                true, sample = source.step(asked, t_ns)
                 wire.put(encoder.encode(sample), t_ns, step_ns)
                 for due_ns, frame in wire.due(t_ns + step_ns):
                     unit.advance(due_ns)
@@ -74,9 +76,11 @@ def _run(scenario: Scenario, path: Path, unit: Unit, result: Result, watch: Watc
                 answer = receiver.read(unit.answers(t_ns + step_ns), t_ns)
                 record.append(sample, answer, true)
                 if watch is not None:
-                    watch(k, len(load))
+                    watch(k, source.steps_at_most)
         except PlantError as error:
             result.reason = str(error)
+        if not len(record.trace) and source.failure is None:
+            raise ConfigError(path, key="load", expected="at least one step before its limits are reached")
         result.wall_s = time.perf_counter() - started
         result.frames_out, record.stored, record.plant_failure = receiver.frames, receiver.stored, source.failure
     result.matrix = record.matrix()
