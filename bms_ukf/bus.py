@@ -98,9 +98,18 @@ class BusCounters:
 class SafeBus:
     """`recv` and `send` that never raise. A failing interface is closed and opened again, with growing pauses."""
 
-    def __init__(self, opener: Callable[[], can.BusABC], frame_log: FrameLog | None = None) -> None:
-        """`opener` makes the bus; its first failure is the caller's (ConfigError), later ones are counted."""
+    def __init__(
+        self,
+        opener: Callable[[], can.BusABC],
+        frame_log: FrameLog | None = None,
+        monotonic: Callable[[], float] | None = None,
+    ) -> None:
+        """`opener` makes the bus; its first failure is the caller's (ConfigError), later ones are counted.
+
+        `monotonic` times the pauses, in seconds (None: this machine's clock).
+        """
         self._opener, self._frame_log = opener, frame_log
+        self._monotonic = monotonic or time.monotonic
         self._bus: can.BusABC | None = opener()
         self._attempts = 0
         self._retry_at = 0.0
@@ -172,7 +181,7 @@ class SafeBus:
     def _usable(self, timeout_s: float) -> can.BusABC | None:
         if self._bus is not None:
             return self._bus
-        pause = self._retry_at - time.monotonic()
+        pause = self._retry_at - self._monotonic()
         if pause > 0:
             time.sleep(min(pause, timeout_s))
             return None
@@ -189,7 +198,7 @@ class SafeBus:
         if self._attempts == 0:
             self._lost.warning("bus: %(error)s; trying to open it again", error=error)
         self.close()
-        self._retry_at = time.monotonic() + BACKOFF_S[min(self._attempts, len(BACKOFF_S) - 1)]
+        self._retry_at = self._monotonic() + BACKOFF_S[min(self._attempts, len(BACKOFF_S) - 1)]
         self._attempts += 1
 
 

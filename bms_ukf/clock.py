@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 TOLERANCE_NS = 500_000_000  # a scheduler may delay a reader; a wall clock that is set moves by more
 
@@ -16,15 +17,17 @@ class StampClock:
     twice, and an interface that stamps nothing does not stop time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, monotonic_ns: Callable[[], int] | None = None) -> None:
+        """`monotonic_ns` is the clock that nobody sets (None: this machine's)."""
         self.steps = 0
         self._stamp_ns: int | None = None
-        self._start_ns = self._read_ns = time.monotonic_ns()
+        self._monotonic_ns = monotonic_ns or time.monotonic_ns
+        self._start_ns = self._read_ns = self._monotonic_ns()
         self._t_ns = 0
 
     def at(self, stamp_s: float) -> int:
         """The time of a frame stamped `stamp_s` and received just now."""
-        stamp_ns, now_ns = round(stamp_s * 1e9), time.monotonic_ns()
+        stamp_ns, now_ns = round(stamp_s * 1e9), self._monotonic_ns()
         waited_ns = now_ns - self._read_ns
         passed_ns = waited_ns if self._stamp_ns is None else stamp_ns - self._stamp_ns
         if abs(passed_ns - waited_ns) > TOLERANCE_NS:
@@ -37,11 +40,11 @@ class StampClock:
 
     def now(self) -> int:
         """The present, for whoever waits for a time to come; it moves nothing."""
-        return time.monotonic_ns() - self._start_ns
+        return self._monotonic_ns() - self._start_ns
 
     def advance(self) -> int:
         """Go on to the present when there is no frame to tell it. A frame that comes later is not put before it."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._monotonic_ns()
         waited_ns = now_ns - self._read_ns
         if self._stamp_ns is not None:
             self._stamp_ns += waited_ns

@@ -65,6 +65,11 @@ class Profile11A:
     def count(self) -> Count:
         return _low_nibble_of_byte_1
 
+    def recounted(self, data: bytes, counter: int) -> bytes:
+        """A payload with another counter, and the CRC that then belongs to it."""
+        body = bytes([data[1] & 0xF0 | counter]) + data[2:]
+        return _crc(body, self.seed).to_bytes() + body
+
 
 @dataclass(frozen=True, slots=True)
 class Crc:

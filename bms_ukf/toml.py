@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -53,6 +53,8 @@ def validate(data: dict[str, Any], model: type[M], source: str | Path) -> M:
         if len(mistakes) > 1:
             expected += f" (and {len(mistakes) - 1} more)"
         value = None if isinstance(first["input"], dict | list) else first["input"]
+        if first["type"] == "union_tag_invalid":
+            key, value = f"{key}.kind", first["ctx"]["tag"]
         raise ConfigError(source, key=key or None, value=value, expected=expected) from None
 
 
@@ -61,6 +63,10 @@ def _expected(mistake: dict[str, Any], model: type[BaseModel]) -> str:
         known = _keys_at(model, mistake["loc"][:-1])
         near = get_close_matches(str(mistake["loc"][-1]), known, n=1)
         return f"no such key (did you mean {near[0]}?)" if near else f"no such key (known: {', '.join(known)})"
+    if mistake["type"] == "union_tag_invalid":
+        known = [tag.strip("' ") for tag in mistake["ctx"]["expected_tags"].split(",")]
+        near = get_close_matches(mistake["ctx"]["tag"], known, n=1)
+        return f"one of {', '.join(known)}" + (f" (did you mean {near[0]}?)" if near else "")
     if mistake["type"] == "missing":
         return "this key, which is missing"
     text = str(mistake["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
@@ -68,12 +74,21 @@ def _expected(mistake: dict[str, Any], model: type[BaseModel]) -> str:
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    for part in location:
-        field = model.model_fields.get(str(part))
-        if field is not None:
-            annotation = field.annotation
-            nested = [t for t in (annotation, *getattr(annotation, "__args__", ())) if isinstance(t, type)]
-            models = [t for t in nested if issubclass(t, BaseModel)]
-            if models:
-                model = models[0]
-    return [field.alias or name for name, field in model.model_fields.items()]
+    """The keys of the table at a location, whose parts are keys, indices and the `kind` of one of several tables."""
+    tables = [model]
+    for part in map(str, location):
+        of_kind = [table for table in tables if part in get_args(_annotation(table, "kind"))]
+        inside = [nested for table in tables for nested in _models(_annotation(table, part))]
+        tables = of_kind or inside or tables
+    return list(dict.fromkeys(field.alias or name for table in tables for name, field in table.model_fields.items()))
+
+
+def _annotation(model: type[BaseModel], name: str) -> Any:
+    field = model.model_fields.get(name)
+    return None if field is None else field.annotation
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]

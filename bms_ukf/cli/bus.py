@@ -87,3 +87,29 @@ def cosim(
         write_json(json_path, summary)
     if failure := summary["plant_failure"]:
         raise PlantError(failure, "refused")
+
+
+@cli.command("hil")
+@click.argument("scenarios", nargs=-1, required=True)
+@click.option("--interface", help="direct, virtual, or one of python-can's.  [default: as in each SCENARIO]")
+@click.option("--channel", help="Of the interface.  [default: as in each SCENARIO]")
+@click.option("--junit", type=PATH, callback=writable, help="Write the verdicts here, for CI.")
+@click.option("--json", "json_path", type=PATH, callback=writable, help="Write all figures here.")
+@click.option("--report", type=PATH, callback=writable, help="Write a page here: the fault matrix, plots, verdicts.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Scenarios at a time.")
+def hil_(
+    scenarios: tuple[str, ...],
+    interface: str | None,
+    channel: str | None,
+    junit: Path | None,
+    json_path: Path | None,
+    report: Path | None,
+    jobs: int,
+) -> None:
+    """Run SCENARIOS (files or folders) with faults against the daemon, and judge them; exit 1 if one fails."""
+    from bms_ukf.hil import command
+
+    results = command.hil(scenarios, command.Place(interface, channel), jobs, junit, report)
+    if json_path is not None:
+        write_json(json_path, {"scenarios": [result.summary() for result in results]})
+    sys.exit(1 if any(result.outcome == "failed" for result in results) else 0)
