@@ -30,6 +30,7 @@ CACHE = Path(os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".numba_cache")
 PYTEST = [sys.executable, "-m", "pytest", "-m", "socketcan", "-p", "no:cacheprovider"]
 WITH_VCAN0 = ["sh", "-c", 'ip link add dev vcan0 type vcan && ip link set vcan0 up && exec "$@"', "sh"]
 PASSED_TO_GUEST = ("BMS_UKF_", "COLUMNS", "LANG", "NUMBA_", "PATH", "PYTEST_")
+SERVICE = "/mnt"  # in the guest: a folder of which the owner may be chosen
 PACKAGES = "user-mode-linux kmod iproute2 can-utils"
 
 
@@ -120,7 +121,9 @@ def run_guest(command: list[str], work: Path) -> int:
     environment = {key: value for key, value in os.environ.items() if key.startswith(PASSED_TO_GUEST)}
     environment |= {"PATH": tool_path(), "HOME": str(work), "TMPDIR": str(work), "PYTHONDONTWRITEBYTECODE": "1"}
     lines = [f"export {key}={shlex.quote(value)}" for key, value in environment.items()]
+    lines += readable_by_all([ROOT, Path(sys.prefix), Path(sys.base_prefix)])
     lines += [f"mount -t hostfs -o {shlex.quote(str(CACHE))} none {shlex.quote(str(CACHE))}"]
+    lines += [f"mount -t tmpfs none {SERVICE}", f"export BMS_UKF_SERVICE_FOLDER={SERVICE}"]
     lines += [f"cd {shlex.quote(str(ROOT))}", shlex.join(command)]
     (work / "command").write_text("\n".join(lines) + "\n")
 
@@ -136,6 +139,21 @@ def run_guest(command: list[str], work: Path) -> int:
         return int((work / "exit_code").read_text())
     say((work / "kernel.log").read_text(errors="replace")[-3000:])
     return 1
+
+
+def readable_by_all(folders: list[Path]) -> list[str]:
+    """Lines of the guest's shell after which another user may enter these: checkout and interpreter may lie in a home.
+
+    What only its owner may enter is covered by an empty file system, on which the folders are mounted at their places.
+    """
+    closed = {parent for folder in folders for parent in folder.parents if not parent.stat().st_mode & 0o001}
+    tops = [parent for parent in closed if not closed & set(parent.parents)]
+    lines = [f"mount -t tmpfs -o mode=755 none {shlex.quote(str(top))}" for top in tops]
+    for folder in folders:
+        if closed & set(folder.parents):
+            place = shlex.quote(str(folder))
+            lines.append(f"mkdir -p {place} && mount -r -t hostfs -o {place} none {place}")
+    return lines
 
 
 def run_limited(command: list[str], **options: Any) -> int:

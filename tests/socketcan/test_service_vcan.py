@@ -32,24 +32,46 @@ state = { file = "state", period_s = 0.2 }
 """
 
 
+NOBODY = 65534
 # A process that begins with this has no capability, whoever it belongs to, and cannot gain one.
 UNPRIVILEGED = ["setpriv", "--no-new-privs", "--bounding-set", "-all", "--inh-caps", "-all"]
+AS_NOBODY = [f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+
+
+def may_change_user() -> bool:
+    """Root may, but for that of a user namespace, who is the user that made it and is no other."""
+    return os.geteuid() == 0 and Path("/proc/self/uid_map").read_text().split()[2] != "1"
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path) -> Iterator[Path]:
     """What systemd would make for the service: state and cache of its own, the configuration to be read."""
-    (tmp_path / "bms.toml").write_text(CONFIG)
-    (tmp_path / "var").mkdir()
-    shutil.copytree(os.environ["NUMBA_CACHE_DIR"], tmp_path / "cache")
-    return tmp_path
+    folder = Path(os.environ.get("BMS_UKF_SERVICE_FOLDER", tmp_path)) / "service"
+    folder.mkdir(mode=0o755)
+    (folder / "bms.toml").write_text(CONFIG)
+    (folder / "var").mkdir()
+    shutil.copytree(os.environ["NUMBA_CACHE_DIR"], folder / "cache")
+    if may_change_user():
+        for path in [folder / "var", folder / "cache", *(folder / "cache").rglob("*")]:
+            os.chown(path, NOBODY, NOBODY)
+    yield folder
+    shutil.rmtree(folder)
 
 
 @pytest.fixture
 def daemon(vcan: Any, folder: Path) -> Iterator[DaemonProcess]:
     environment = {"STATE_DIRECTORY": str(folder / "var"), "NUMBA_CACHE_DIR": str(folder / "cache")}
-    with DaemonProcess(folder / "bms.toml", prefix=UNPRIVILEGED, environment=environment) as daemon:
+    prefix = [*UNPRIVILEGED, *(AS_NOBODY if may_change_user() else [])]
+    with DaemonProcess(folder / "bms.toml", prefix=prefix, environment=environment) as daemon:
         yield daemon.begin()
+
+
+def test_the_service_belongs_to_nobody_and_may_do_nothing_but_its_work(vcan, daemon, folder):
+    status = Path(f"/proc/{daemon.process.pid}/status").read_text()
+    if may_change_user():
+        assert f"Uid:\t{NOBODY}\t{NOBODY}" in status
+    assert "NoNewPrivs:\t1" in status
+    assert daemon.capabilities() == 0
 
 
 def drive(bus: BusABC, battery: ModelCell, scans: int) -> None:
@@ -70,7 +92,6 @@ def told(bus: BusABC, message: str) -> list[dict[str, Any]]:
 
 def test_killed_and_started_again_it_knows_what_it_knew(vcan, daemon, folder, cell):
     battery = ModelCell(cell, 0.7)
-    assert daemon.capabilities() == 0
     with vcan.bus() as bus:
         drive(bus, battery, 40)
         known = told(bus, "SocEstimate")[-1]
