@@ -12,14 +12,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bms_ukf import metrics, resources
 from bms_ukf.cell import CellParams
 from bms_ukf.config import Bus
 from bms_ukf.errors import ConfigError, PlantError
 from bms_ukf.estimator import Estimator
 from bms_ukf.links import BusLink, DirectLink, Link
+from bms_ukf.loads.demand import Demand
 from bms_ukf.plant import PlantState, open_plant
-from bms_ukf.records import Estimate, Sample
+from bms_ukf.records import NAN, Estimate, Sample
 from bms_ukf.scenario import Scenario
 from bms_ukf.sensors import SensorSet
 from bms_ukf.trace import Trace
@@ -46,39 +49,53 @@ def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Tra
     """Run a scenario (found at `path`) to the end of its load: the trace, a row per step, and the summary.
 
     `watch` is called after every step, and told how many there are at most. If the plant fails on the way the run ends
-    there, and the summary says why under `plant_failure`. Raises ConfigError for what the scenario names and is not
-    usable, and for a load without a step; PlantError if the plant fails in the first.
+    there, or goes on with nothing measured, as the scenario says, and the summary says why under `plant_failure`.
+    Raises ConfigError for what the scenario names and is not usable, and for a load without a step; PlantError if the
+    plant fails in the first.
     """
-    demand = scenario.load.demand(scenario.step_s, relative_to=path.parent)
     step_ns = round(scenario.step_s * 1e9)
     sensors = SensorSet(scenario.sensors)
     estimator = _estimator(scenario, path)
-    trace = Trace(min(demand.steps_at_most, 100_000))
     failure: PlantError | None = None
     started = time.perf_counter()
     with open_plant(scenario.plant, path.parent) as plant:
+        if np.ndim(plant.state.voltage_V):
+            expected = "the voltage of one cell; bms-ukf hil takes several"
+            raise ConfigError(path, key="plant.variables.voltage_V", expected=expected)
+        # Where a part of the plant drives it, the load only says how long.
+        driven_by = plant.input or "current_A"
+        demand = scenario.load.demand(scenario.step_s, plant_input=driven_by, relative_to=path.parent)
+        trace = Trace(min(demand.steps_at_most, 100_000))
         link = _link(scenario, path, estimator)
+        true = plant.state
         try:
-            while (current_A := demand.next(plant.state.voltage_V, plant.state.soc)) is not None:
-                true = plant.step(current_A, step_ns)
-                voltage_V, temperature_degC = float(true.voltage_V), float(true.temperature_degC)
-                sample = sensors.measure(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
+            while (asked := _next(demand, plant.state)) is not None:
+                if failure is None:
+                    try:
+                        true = plant.step(asked, step_ns)
+                    except PlantError as error:
+                        failure = error
+                if failure is not None:
+                    if scenario.plant.on_failure == "end":
+                        break
+                    true = PlantState(true.t_ns + step_ns, current_A=NAN)
+                given = Sample(true.t_ns, float(true.current_A), float(true.voltage_V), float(true.temperature_degC))
+                sample = sensors.measure(given.t_ns, given.current_A, given.voltage_V, given.temperature_degC)
                 estimate = link.exchange(sample)
-                given = Sample(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
                 trace.append(sample, estimate, float(true.soc), given)
                 if watch is not None:
                     wall_s, frames = time.perf_counter() - started, (link.frames_in, link.frames_out)
                     watch(Progress(len(trace), demand.steps_at_most, wall_s, sample, estimate, true, *frames))
-        except PlantError as error:
-            if not len(trace):
-                raise
-            failure = error
         finally:
             link.close()
     if not len(trace):
-        raise ConfigError(path, key="load", expected="at least one step before its limits are reached")
+        raise failure or ConfigError(path, key="load", expected="at least one step before its limits are reached")
     summary = _summary(scenario, trace, link, time.perf_counter() - started)
     return trace, summary | {"plant_failure": None if failure is None else str(failure)}
+
+
+def _next(demand: Demand, state: PlantState) -> float | None:
+    return demand.next(state.voltage_V, state.soc, float(state.current_A))
 
 
 def _estimator(scenario: Scenario, path: Path) -> Estimator:

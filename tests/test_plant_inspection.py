@@ -44,7 +44,8 @@ def test_an_array_of_cells_is_found_and_structural_parameters_are_shown(tmp_path
 
 def test_cells_that_are_variables_of_their_own_are_a_list(tmp_path):
     variables = (Var("i", "input", "A", "0"), *(Var(f"cell[{k}].v", "output", "V") for k in (1, 2, 3)))
-    plant, _ = proposed(build(tmp_path / "pack.fmu", variables, "return 0;", ""))
+    plant, text = proposed(build(tmp_path / "pack.fmu", variables, "return 0;", ""))
+    assert "\ncells = 3 " in text
     assert plant["variables"]["voltage_V"] == ["cell[1].v", "cell[2].v", "cell[3].v"]
 
 

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bms_ukf import resources
 from bms_ukf.errors import BmsError
 from bms_ukf.plant import archive, guess, quantities
@@ -50,9 +52,11 @@ def describe(given: Path) -> str:
     drive, roles = guess.roles(description)
     warnings = [f"validation: {finding}" for finding in findings]
     warnings += _gaps(drive, roles)
+    cells = 1
     if not _gaps(drive, roles):
         try:
             with open_plant(path, variables=roles, validate=False) as plant:
+                cells = np.size(plant.state.voltage_V)
                 roles = guess.undeclared_units(description, roles, plant.state)
         except NotLoadedError:
             raise
@@ -62,7 +66,7 @@ def describe(given: Path) -> str:
     about += ["", *(f"warning: {warning}" for warning in warnings)] if warnings else []
     comments = [f"# {line}".rstrip() for text in about for line in text.splitlines() or [""]]
     fmu_name = str(given) if path.parent == resources.folder("plants") else str(path.resolve())
-    return "\n".join([*comments, "", *_scenario(fmu_name, description, drive, roles, valid=not findings)])
+    return "\n".join([*comments, "", *_scenario(fmu_name, description, drive, roles, cells, valid=not findings)])
 
 
 def _gaps(drive: str | None, roles: dict[str, Entry]) -> list[str]:
@@ -115,7 +119,9 @@ def _row(description: Any, variable: Any) -> tuple[str, ...]:
     return tuple("-" if value is None else " ".join(str(value).split()) or "-" for value in values.values())
 
 
-def _scenario(fmu_name: str, description: Any, drive: str | None, roles: dict[str, Entry], *, valid: bool) -> list[str]:
+def _scenario(
+    fmu_name: str, description: Any, drive: str | None, roles: dict[str, Entry], cells: int, *, valid: bool
+) -> list[str]:
     experiment = description.defaultExperiment
     suggested_s = number(experiment and experiment.stepSize) or 0.0
     step_s = suggested_s if 0.1 <= suggested_s <= 3600 else 1.0
@@ -124,6 +130,7 @@ def _scenario(fmu_name: str, description: Any, drive: str | None, roles: dict[st
         "format = 1",
         f"name = {_quoted(description.modelName)}",
         f"step_s = {step_s!r}",
+        *([f"cells = {cells}  # run it with bms-ukf hil"] if cells > 1 else []),
         "",
         "[plant]",
         f"fmu = {_quoted(fmu_name)}",

@@ -175,7 +175,7 @@ def build(
             file = path.with_suffix(".c")
             file.write_text(code)
             library = path.with_suffix(".so")
-            command = ["cc", "-O1", "-shared", "-fPIC", f"-I{HEADERS}", "-o", str(library), str(file), "-lm", *link]
+            command = ["cc", "-O0", "-shared", "-fPIC", f"-I{HEADERS}", "-o", str(library), str(file), "-lm", *link]
             subprocess.run(command, check=True)
             archive.write(library, f"binaries/{PLATFORM[fmi]}/tiny.so")
     return path
