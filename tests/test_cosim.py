@@ -190,3 +190,22 @@ def test_a_plant_that_runs_empty_leaves_the_trace_so_far_and_says_why():
 def test_a_step_longer_than_a_current_is_held_is_refused():
     with pytest.raises(ConfigError, match=r"step_s of at most estimator\.tuning\.current_timeout_s"):
         scenario(step_s=10.0)
+
+
+def test_a_load_that_looks_at_the_plant_drives_to_a_limit_charges_and_ends():
+    segments = [
+        {"current_A": 5.0, "duration_s": 7200.0, "until_below_V": 3.55},
+        {"cccv_A": -5.0, "voltage_V": 3.9, "cutoff_A": 2.5},
+    ]
+    trace, summary = run(load={"segments": segments})
+    voltage_V, current_A = trace["voltage_true_V"], trace["current_true_A"]
+    turned = int(np.argmax(current_A < 0))
+    assert voltage_V[turned - 1] <= 3.55 < voltage_V[turned - 2]
+    assert voltage_V.max() == pytest.approx(3.9, abs=1e-3)
+    assert current_A[-1] == pytest.approx(-2.5, abs=0.02)
+    assert summary["plant_failure"] is None
+
+
+def test_a_load_that_is_over_before_its_first_step_is_refused():
+    with pytest.raises(ConfigError, match="at least one step before its limits are reached"):
+        run(load={"segments": [{"rest_s": 10.0, "until_above_V": 3.0}]})
