@@ -201,7 +201,7 @@ def test_a_load_that_looks_at_the_plant_drives_to_a_limit_charges_and_ends():
     voltage_V, current_A = trace["voltage_true_V"], trace["current_true_A"]
     turned = int(np.argmax(current_A < 0))
     assert voltage_V[turned - 1] <= 3.55 < voltage_V[turned - 2]
-    assert voltage_V.max() == pytest.approx(3.9, abs=1e-3)
+    assert 3.9 <= voltage_V.max() < 3.903  # after a reversal the voltage rises by 2 mV a step
     assert current_A[-1] == pytest.approx(-2.5, abs=0.02)
     assert summary["plant_failure"] is None
 
