@@ -49,18 +49,21 @@ def run(scenario: Scenario, path: Path, watch: Watch | None = None) -> tuple[Tra
     there, and the summary says why under `plant_failure`. Raises ConfigError for what the scenario names and is not
     usable, and for a load without a step; PlantError if the plant fails in the first.
     """
-    demand = scenario.load.demand(scenario.step_s, relative_to=path.parent)
     step_ns = round(scenario.step_s * 1e9)
     sensors = SensorSet(scenario.sensors)
     estimator = _estimator(scenario, path)
-    trace = Trace(min(demand.steps_at_most, 100_000))
     failure: PlantError | None = None
     started = time.perf_counter()
     with open_plant(scenario.plant, path.parent) as plant:
+        # Where a part of the plant drives it, the load only says how long.
+        driven_by = plant.input or "current_A"
+        demand = scenario.load.demand(scenario.step_s, plant_input=driven_by, relative_to=path.parent)
+        trace = Trace(min(demand.steps_at_most, 100_000))
         link = _link(scenario, path, estimator)
         try:
-            while (current_A := demand.next(plant.state.voltage_V, plant.state.soc)) is not None:
-                true = plant.step(current_A, step_ns)
+            true = plant.state
+            while (asked := demand.next(true.voltage_V, true.soc, float(true.current_A))) is not None:
+                true = plant.step(asked, step_ns)
                 voltage_V, temperature_degC = float(true.voltage_V), float(true.temperature_degC)
                 sample = sensors.measure(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
                 estimate = link.exchange(sample)
