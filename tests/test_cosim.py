@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from c_fmu import Var, build
 
 from bms_ukf import ConfigError, Fault, cosim, metrics, toml
 from bms_ukf.scenario import Scenario
@@ -190,3 +191,39 @@ def test_a_plant_that_runs_empty_leaves_the_trace_so_far_and_says_why():
 def test_a_step_longer_than_a_current_is_held_is_refused():
     with pytest.raises(ConfigError, match=r"step_s of at most estimator\.tuning\.current_timeout_s"):
         scenario(step_s=10.0)
+
+
+def test_a_load_that_looks_at_the_plant_drives_to_a_limit_charges_and_ends():
+    segments = [
+        {"current_A": 5.0, "duration_s": 7200.0, "until_below_V": 3.55},
+        {"cccv_A": -5.0, "voltage_V": 3.9, "cutoff_A": 2.5},
+    ]
+    trace, summary = run(load={"segments": segments})
+    voltage_V, current_A = trace["voltage_true_V"], trace["current_true_A"]
+    turned = int(np.argmax(current_A < 0))
+    assert voltage_V[turned - 1] <= 3.55 < voltage_V[turned - 2]
+    assert 3.9 <= voltage_V.max() < 3.903  # after a reversal the voltage rises by 2 mV a step
+    assert current_A[-1] == pytest.approx(-2.5, abs=0.02)
+    assert summary["plant_failure"] is None
+
+
+def test_a_load_that_is_over_before_its_first_step_is_refused():
+    with pytest.raises(ConfigError, match="at least one step before its limits are reached"):
+        run(load={"segments": [{"rest_s": 10.0, "until_above_V": 3.0}]})
+
+
+OTHERWISE_DRIVEN = {
+    "power_W": ("P", "W", "0", "i = P / 3.7; v = 3.7 - 0.02 * i; return 0;", "v = 3.7;"),
+    "voltage_V": ("u", "V", "3.7", "i = (3.7 - u) / 0.02; v = u; return 0;", "v = 3.7;"),
+}
+
+
+@pytest.mark.parametrize("role", OTHERWISE_DRIVEN)
+def test_a_load_in_amperes_drives_a_plant_that_takes_watts_or_volts(tmp_path, role):
+    name, unit, start, step, begin = OTHERWISE_DRIVEN[role]
+    variables = (Var(name, "input", unit, start), Var("v", "output", "V"), Var("i", "output", "A"))
+    fmu = build(tmp_path / "plant.fmu", variables, step, begin)
+    names = {"current_A": "i", "voltage_V": "v", "temperature_degC": "", "soc": "", "ambient_degC": ""}
+    load = {"segments": [{"current_A": 2.0, "duration_s": 60.0}]}
+    trace, _ = run(load=load, plant={"fmu": str(fmu), "variables": names | {role: name}})
+    assert trace["current_true_A"][5:] == pytest.approx(np.full(55, 2.0), rel=0.02)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from bms_ukf import ConfigError
+from bms_ukf import ConfigError, resources, scenario
 from bms_ukf.loads import Load
 
 
@@ -215,6 +215,12 @@ def test_a_long_load_is_not_held_in_memory() -> None:
     assert demand.steps_at_most == 1369 * 10**7
     assert demand.next(3.7) is not None
     assert demand.next(2.9) is None
+
+
+def test_every_shipped_scenario_asks_for_something() -> None:
+    for name in resources.names("scenarios", ".toml"):
+        found, path = scenario.load(name)
+        assert found.load.demand(found.step_s, relative_to=path.parent).next(3.7, 0.5) is not None
 
 
 @pytest.mark.parametrize(

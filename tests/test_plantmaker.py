@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -249,6 +250,13 @@ def test_a_missing_compiler_is_told_in_one_line(tmp_path, capsys, monkeypatch) -
     monkeypatch.setenv("CC", "no-such-compiler")
     assert main([str(tmp_path / "x.fmu"), "--model", "Thevenin", "--parameters", "ECM_Example"]) == 2
     assert capsys.readouterr().err.startswith("no-such-compiler: no such C compiler; install one")
+
+
+def test_a_missing_pybamm_is_told_in_one_line(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybamm", None)
+    assert main([str(tmp_path / "x.fmu")]) == 2
+    said = capsys.readouterr().err
+    assert said == "plantmaker: expected PyBaMM, which is not there: pip install 'bms-ukf[plant]'\n"
 
 
 def test_every_model_named_in_the_help_is_one() -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import shlex
 import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from bms_ukf.errors import BmsError, ConfigError
@@ -45,6 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _make(given: argparse.Namespace, command: str) -> None:
     if not 0 <= given.soc_initial <= 1:
         raise ConfigError("plantmaker", key="--soc-initial", value=given.soc_initial, expected="0 to 1")
+    if find_spec("pybamm") is None:
+        raise ConfigError("plantmaker", expected="PyBaMM, which is not there: pip install 'bms-ukf[plant]'")
+    os.environ.setdefault("PYBAMM_DISABLE_TELEMETRY", "true")
     with warnings.catch_warnings(), tempfile.TemporaryDirectory() as scratch:
         warnings.simplefilter("ignore")  # PyBaMM's own, of what it does not use here
         from bms_ukf.fmumaker.build import build

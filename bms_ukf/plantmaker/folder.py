@@ -26,7 +26,7 @@ class Spread:
     def draw(self, name: str, sigma: float, cells: int) -> list[float]:
         """`sigma` times normal numbers, one a cell, cut at three sigmas."""
         drawn = np.random.default_rng([self.seed, *name.encode()]).standard_normal(cells)
-        return [float(value) for value in sigma * drawn.clip(-3, 3)]
+        return [round(float(value), 7) + 0.0 for value in sigma * drawn.clip(-3, 3)]  # + 0.0: no minus zero
 
 
 def resistance_ohm(cell: Cell) -> float:
@@ -51,7 +51,7 @@ def write(
     """Writes cell.c, cell.h and fmu.toml into `folder`. `series` cells give arrays; None: one cell, and scalars."""
     codegen.write(cell, folder)
     spread, cells = spread or Spread(), series or 1
-    capacity = [1 + value for value in spread.draw("capacity", spread.capacity, cells)]
+    capacity = [round(1 + value, 7) for value in spread.draw("capacity", spread.capacity, cells)]
     extra_ohm = spread.draw("resistance", spread.resistance * resistance_ohm(cell) if spread.resistance else 0.0, cells)
     offsets = spread.draw("soc", spread.soc, cells)
     largest_A = LARGEST_C_RATE * cell.nominal_Ah

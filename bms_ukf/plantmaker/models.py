@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import difflib
-import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from bms_ukf.errors import ConfigError
+import casadi
+import pybamm
 
-os.environ.setdefault("PYBAMM_DISABLE_TELEMETRY", "true")
-try:
-    import casadi
-    import pybamm
-except ModuleNotFoundError as error:
-    raise ConfigError("plantmaker", expected=f"PyBaMM; pip install 'bms-ukf[plant]' ({error})") from None
+from bms_ukf.errors import ConfigError
 
 ELECTRODE_POINTS, SEPARATOR_POINTS, PARTICLE_POINTS, PARTICLE_STRETCH = 10, 4, 20, 3.0
 INPUTS = ["Current function [A]", "Ambient temperature [K]", "soc_initial"]
