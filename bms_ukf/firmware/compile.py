@@ -1,7 +1,8 @@
 """From the kernel's Python to an object file: numba's LLVM module for any machine, optimised and written for one.
 
-What comes out computes the same, bit for bit, on every machine with IEEE arithmetic and the same `expf` and `logf`:
-operations are not fused, although the kernel allows it, because each processor's compiler would fuse others.
+What comes out computes the same, bit for bit, on every machine with IEEE arithmetic: operations are not fused, although
+the kernel allows it, because each processor's compiler would fuse others; and the kernel calls nothing that rounds its
+own way (square roots and whole parts are exact).
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from bms_ukf.kernel.embedded import c_functions
 from bms_ukf.kernel.jit import portable
 from bms_ukf.kernel.layout import Form
 
-# For size; no call that is not in the source, as a loop that copies becomes one of memcpy.
-ATTRIBUTES = ("minsize", "optsize", "nounwind")
+# No call that is not in the source, as a loop that copies becomes one of memcpy.
+ATTRIBUTES = ("nounwind",)
 NO_LIBRARY = '"no-builtins"'
 
 # numba's functions return a status, and take where the result goes and where an exception goes before their arguments.
