@@ -21,7 +21,6 @@ from bms_ukf.kernel.jit import portable
 from bms_ukf.kernel.layout import Form
 
 # No call that is not in the source, as a loop that copies becomes one of memcpy.
-ATTRIBUTES = ("nounwind",)
 NO_LIBRARY = '"no-builtins"'
 
 # numba's functions return a status, and take where the result goes and where an exception goes before their arguments.
@@ -72,6 +71,10 @@ def compiled(form: Form, cells: int, params: NDArray[Any], target: Target) -> Co
     module = _optimised(_linked(form, cells, params, bits, target, machine), machine)
     text, work = _with_workspace(str(module), bits)
     final = llvm.parse_assembly(text)
+    for function in final.functions:
+        if not function.is_declaration:  # optimised for speed, which unrolls the loops over states; then put small
+            function.add_function_attribute("optsize")
+            function.add_function_attribute("minsize")
     final.verify()
     return Compiled(machine.emit_object(final), machine.emit_assembly(final), text, work)
 
@@ -94,8 +97,7 @@ def _linked(
             if not function.name.startswith("bms_ukf_"):
                 function.linkage = "internal"
                 function.add_function_attribute("alwaysinline")
-            for attribute in ATTRIBUTES:
-                function.add_function_attribute(attribute)
+            function.add_function_attribute("nounwind")
     for variable in linked.global_variables:
         variable.linkage = "internal"  # numba's environments, which nothing refers to any more, vanish
     linked.verify()
