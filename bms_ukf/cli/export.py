@@ -38,13 +38,16 @@ def export_benchmark(cell: str, out: Path) -> None:
     show_default=True,
     help="compact: a third of the flash, coarser at low charge and in the cold.",
 )
+@click.option("--config", type=PATH, help="CONFIG.toml: its [estimator] section.")
 @click.option("--out", type=PATH, required=True, help="Folder to write.")
 def export_firmware(
-    cell: str, target: str, precision: Literal["f32", "f64"], cells: int, tables: str, out: Path
+    cell: str, target: str, precision: Literal["f32", "f64"], cells: int, tables: str, config: Path | None, out: Path
 ) -> None:
     """Write a CELL's estimator as an object file with a C header, for a microcontroller; no tool chain is needed."""
-    from bms_ukf import firmware
+    from bms_ukf import firmware, toml
     from bms_ukf.cell import CellParams
+    from bms_ukf.config import Config
 
-    firmware.export(CellParams.load(cell), out, target, precision, cells, tables=tables)
+    tuning = None if config is None else toml.load(config, Config).estimator
+    firmware.export(CellParams.load(cell), out, target, precision, cells, tuning, tables)
     click.echo((out / "size.txt").read_text(encoding="utf-8"), nl=False)

@@ -1,7 +1,8 @@
 """From the kernel's Python to an object file: numba's LLVM module for any machine, optimised and written for one.
 
-What comes out computes the same, bit for bit, on every machine with IEEE arithmetic and the same `expf` and `logf`:
-operations are not fused, although the kernel allows it, because each processor's compiler would fuse others.
+What comes out computes the same, bit for bit, on every machine with IEEE arithmetic: operations are not fused, although
+the kernel allows it, because each processor's compiler would fuse others; and the kernel calls nothing that rounds its
+own way (square roots and whole parts are exact).
 """
 
 from __future__ import annotations
@@ -19,8 +20,7 @@ from bms_ukf.kernel.embedded import c_functions
 from bms_ukf.kernel.jit import portable
 from bms_ukf.kernel.layout import Form
 
-# For size; no call that is not in the source, as a loop that copies becomes one of memcpy.
-ATTRIBUTES = ("minsize", "optsize", "nounwind")
+# No call that is not in the source, as a loop that copies becomes one of memcpy.
 NO_LIBRARY = '"no-builtins"'
 
 # numba's functions return a status, and take where the result goes and where an exception goes before their arguments.
@@ -71,6 +71,10 @@ def compiled(form: Form, cells: int, params: NDArray[Any], target: Target) -> Co
     module = _optimised(_linked(form, cells, params, bits, target, machine), machine)
     text, work = _with_workspace(str(module), bits)
     final = llvm.parse_assembly(text)
+    for function in final.functions:
+        if not function.is_declaration:  # optimised for speed, which unrolls the loops over states; then put small
+            function.add_function_attribute("optsize")
+            function.add_function_attribute("minsize")
     final.verify()
     return Compiled(machine.emit_object(final), machine.emit_assembly(final), text, work)
 
@@ -93,8 +97,7 @@ def _linked(
             if not function.name.startswith("bms_ukf_"):
                 function.linkage = "internal"
                 function.add_function_attribute("alwaysinline")
-            for attribute in ATTRIBUTES:
-                function.add_function_attribute(attribute)
+            function.add_function_attribute("nounwind")
     for variable in linked.global_variables:
         variable.linkage = "internal"  # numba's environments, which nothing refers to any more, vanish
     linked.verify()

@@ -151,6 +151,7 @@ def cache_dynamics(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, resistance:
 FALL_SMALL = 0.125
 FALL_TERMS = 10
 FALL_DOUBLINGS = 9
+DECAY_AS_FALL = 3  # of these doublings
 FALL_HALF = 0.5**FALL_DOUBLINGS
 FALL_LARGEST = FALL_SMALL * 2**FALL_DOUBLINGS  # exp(-64) is nothing
 
@@ -170,6 +171,21 @@ def fall(s: Any, x: Any) -> Any:
     r = fall_small(s, clamp(x, real(s, 0), real(s, FALL_LARGEST)) * real(s, FALL_HALF))
     for _ in range(FALL_DOUBLINGS):
         r *= real(s, 2) - r
+    return r
+
+
+@inline
+def decay(s: Any, x: Any) -> Any:
+    """exp(-x) for x >= 0, to 250 roundings (3e-14; 1.5e-5 in float32); beyond x = 64 it stays what it is there.
+
+    No two libms agree on the last digit of an exponential, so with one no two machines would agree on an estimate.
+    """
+    r = fall_small(s, clamp(x, real(s, 0), real(s, FALL_LARGEST)) * real(s, FALL_HALF))
+    for _ in range(DECAY_AS_FALL):
+        r *= real(s, 2) - r
+    r = real(s, 1) - r
+    for _ in range(FALL_DOUBLINGS - DECAY_AS_FALL):
+        r *= r  # the error doubles with each, hence not from the start
     return r
 
 

@@ -17,7 +17,7 @@ from bms_ukf.kernel import layout as k
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import Form, form_at_compile_time
-from bms_ukf.kernel.memory import real, vector, words
+from bms_ukf.kernel.memory import real, vector, whole, words
 from bms_ukf.kernel.step import DEGRADED, FAULT_MASK, INITIALISING, INVALID, OK, STATUS_SHIFT
 from bms_ukf.records import Fault
 
@@ -95,13 +95,14 @@ def sample(
 
 @inline
 def result(s: Any, cell: int, row: int, m: Any, cells: int) -> Any:
-    """A cell's number in an `OUT_*` row, NaN if there is none; SoC and its sigma are NaN while none could be shown."""
+    """A cell's number in an `OUT_*` row, NaN if there is none; SoC and its sigma only if the cell has one to show."""
     if row < k.OUT_SOC or row >= k.IO_ROWS or cell < 0 or cell >= cells:
         return real(s, math.nan)
-    status = words(s)[B_CODE] >> STATUS_SHIFT
-    hidden = (status == INITIALISING) | (status == INVALID)
-    value = s[HEADER + cells * m.size + cells * row + cell]
-    return real(s, math.nan) if hidden & (row <= k.OUT_SOC_SIGMA) else value
+    io = HEADER + cells * m.size + cell
+    of_all, own = words(s)[B_CODE] >> STATUS_SHIFT, s[io + cells * k.OUT_CODE]
+    own = INITIALISING if math.isnan(own) else whole(own) >> STATUS_SHIFT
+    hidden = (of_all == INITIALISING) | (of_all == INVALID) | (own == INITIALISING) | (own == INVALID)
+    return real(s, math.nan) if hidden & (row <= k.OUT_SOC_SIGMA) else s[io + cells * row]
 
 
 class CFunction(NamedTuple):

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel.ecm import ocv
+from bms_ukf.kernel.ecm import decay, ocv
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import (
     DENSE_MAX,
@@ -71,7 +71,8 @@ def quadrature(p: Any, w: Any, y: Any, m: Any, c: int, variance: Any, low: Any, 
     Writes moments = [E xi_0, E e, var xi_0, cov(xi_0, e), var e].
     """
     W = m.lanes
-    log_weight = vector(w, POINTS)
+    weights = vector(w, POINTS)
+    exponent = vector(w, POINTS)
     residual = vector(w, POINTS)
     step = (high - low) / real(w, POINTS)
     half = real(w, 0.5)
@@ -87,7 +88,7 @@ def quadrature(p: Any, w: Any, y: Any, m: Any, c: int, variance: Any, low: Any, 
         slope -= y[W * Y_DROP_SLOPE + c] * w[W * (m.root + tri(m.n - 1, SOC)) + c]
     soc = w[W * (m.x + SOC) + c]
     sigma = w[W * m.root + c]
-    largest = real(w, -math.inf)
+    least = real(w, math.inf)
     before = rest + slope * low - ocv(p, soc + sigma * low, T)
     for point in range(POINTS):
         xi = low + (real(w, point) + half) * step
@@ -97,23 +98,24 @@ def quadrature(p: Any, w: Any, y: Any, m: Any, c: int, variance: Any, low: Any, 
         # Where the grid is coarser than the likelihood is wide, the likelihood is widened to the grid.
         blur = after - before
         spread = variance + blur * blur / real(w, 12)
-        log_weight[point] = -half * (xi * xi + e * e / spread + math.log(spread))
+        weights[point] = real(w, 1) / math.sqrt(spread)
+        exponent[point] = half * (xi * xi + e * e / spread)
         residual[point] = e
-        largest = max(largest, log_weight[point])
+        least = min(least, exponent[point])
         before = after
     total = real(w, 0)
     for j in range(MOMENTS):
         moments[j] = real(w, 0)
     for point in range(POINTS):
-        weight = math.exp(log_weight[point] - largest)
-        log_weight[point] = weight
+        weight = weights[point] * decay(w, exponent[point] - least)
+        weights[point] = weight
         total += weight
         moments[0] += weight * (low + (real(w, point) + half) * step)
         moments[1] += weight * residual[point]
     moments[0] /= total
     moments[1] /= total
     for point in range(POINTS):
-        weight = log_weight[point] / total
+        weight = weights[point] / total
         d_xi = low + (real(w, point) + half) * step - moments[0]
         d_e = residual[point] - moments[1]
         moments[2] += weight * d_xi * d_xi
