@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from drives import CELL, steady
 from model_cell import ModelCell
 
 from bms_ukf import Estimator, Fault, Sample, Status, Tuning, Wiring
-from bms_ukf.pack import Limits, Pack, PackEstimate
+from bms_ukf.pack import Health, Limits, Pack, PackEstimate
 
 NAN = float("nan")
 SECOND = 1_000_000_000
@@ -175,12 +176,12 @@ def test_strings_add_up():
     pack, single = Pack(wired, LIMITS), known([0.6, 0.6])[1]
     ocv = float(STEADY.ocv_V(0.6, 25.0))
     for k in range(600):
-        sample = Sample(k * SECOND, NAN, np.full(4, ocv), 25.0, string_current_A=np.array([0.0, 1.0]))
+        sample = Sample(k * SECOND, NAN, np.full(4, ocv), 25.0, string_current_A=np.array([0.0, 0.01]))
         told = pack.update(wired.step(sample), sample)
     assert told.remaining_Ah == pytest.approx(2 * single.remaining_Ah, rel=0.05)
     assert told.remaining_Wh == pytest.approx(2 * single.remaining_Wh, rel=0.05)
     assert told.discharge_A == pytest.approx(2 * min(told.cell_discharge_A))
-    assert told.power_W == pytest.approx(2 * ocv, rel=0.01)
+    assert told.power_W == pytest.approx(0.02 * ocv, rel=0.01)
 
 
 def test_in_float32_the_same_is_told():
@@ -191,3 +192,14 @@ def test_in_float32_the_same_is_told():
         told.append(Pack(estimator, LIMITS).update(estimator.step(sample), sample))
     for name in ("soc", "remaining_Wh", "discharge_A", "charge_A", "discharge_sigma_A"):
         assert getattr(told[0], name) == pytest.approx(getattr(told[1], name), rel=2e-3), name
+
+
+def test_a_cell_takes_less_than_two_kilobytes():
+    cells = 1000
+    tracemalloc.start()
+    estimator = Estimator(STEADY, cells)
+    kept = Pack(estimator), Health(estimator), estimator._blank()
+    taken = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert kept
+    assert taken / cells < 2048

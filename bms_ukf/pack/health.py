@@ -142,7 +142,7 @@ class Health:
         variance = beliefs.per_cell(e._state, layout.H_R0_VAR, e.cells)
         told = np.isfinite(scale) & (variance < (0.75 * R0_SIGMA) ** 2)  # else the time is long since a step
         self._driven_s += dt
-        share = np.where(told, dt / min(self._driven_s + dt, RESISTANCE_TAU_S), 0.0)
+        share = np.where(told, dt / min(max(self._driven_s, 1.0), RESISTANCE_TAU_S), 0.0)
         used = e.resistance_scale * (scale - np.clip(scale - 1, -R0_SHAPE, R0_SHAPE))
         self.resistance += share * np.nan_to_num(used - self.resistance)
         self.resistance_sigma += share * np.nan_to_num(np.sqrt(variance) - self.resistance_sigma)

@@ -60,7 +60,8 @@ class Pack:
         self._average(pack, sample)
         self._limits(*self._addresses)
         soc, sigma = np.atleast_1d(estimate.soc), np.atleast_1d(estimate.soc_sigma)
-        known = np.isfinite(soc)
+        status = self.estimator.cell_status
+        known = (status == Status.OK) | (status == Status.DEGRADED)
         silent = ~known | (self.estimator.cell_faults & Fault.VOLTAGE_MISSING > 0)
         pack.silent = int(np.count_nonzero(silent))
         pack.silent_cell = int(np.argmax(silent)) if pack.silent else -1
