@@ -6,8 +6,8 @@ Read from a cell's record and changing nothing in it. With the model of `ecm` an
     a pulse    v(i) = ocv(soc - i h / charge, T) - drop(i) - sum (v_j + f_j (r_j i - v_j)) - v_hyst
 
 h being the pulse's length and f_j = 1 - exp(-h / tau_j). Both fall with i, so a limit is the one current at which v
-meets a voltage limit. A cold cell reaches its lower voltage at a higher SoC: that is where it is empty at this rate. Its SoC
-does not change.
+meets a voltage limit. A cold cell reaches its lower voltage at a higher SoC: that is where it is empty at this rate.
+Its SoC does not change.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def settled(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, i: Any) -> Any:
 
 @inline
 def end(p: Any, s: Any, o: int, m: Any, T: Any, i: Any, limit: Any) -> Any:
-    """The SoC, 0..1, at which `i` meets the voltage `limit`: on discharge from empty upwards, on charge from full down."""
+    """The SoC, 0..1, at which `i` meets the voltage `limit`: looked for from empty on discharge, else from full."""
     zero, one = real(p, 0), real(p, 1)
     inwards = one if i >= zero else -one
     step = inwards / real(p, KNOTS)

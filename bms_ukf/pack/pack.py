@@ -15,6 +15,11 @@ from bms_ukf.pack.record import PackEstimate
 from bms_ukf.records import Estimate, Fault, Sample, Status
 
 Array = NDArray[np.float64]
+# What is not told without a cell that is known.
+_NUMBERS = [
+    name for name in PackEstimate.__slots__ if name.split("_")[0] not in {"t", "status", "faults", "power", "silent"}
+]
+_NUMBERS = [name for name in _NUMBERS if not name.startswith(("cell_", "current_"))]
 IDLE_C = 0.005  # a mean current below this share of the capacity per hour is none: there is no time to empty
 
 
@@ -55,7 +60,8 @@ class Pack:
         self._average(pack, sample)
         self._limits(*self._addresses)
         soc, sigma = np.atleast_1d(estimate.soc), np.atleast_1d(estimate.soc_sigma)
-        known = np.isfinite(soc)
+        status = self.estimator.cell_status
+        known = (status == Status.OK) | (status == Status.DEGRADED)
         silent = ~known | (self.estimator.cell_faults & Fault.VOLTAGE_MISSING > 0)
         pack.silent = int(np.count_nonzero(silent))
         pack.silent_cell = int(np.argmax(silent)) if pack.silent else -1
@@ -93,10 +99,8 @@ class Pack:
 
     def _forget(self, pack: PackEstimate) -> None:
         blank = PackEstimate()
-        for name in PackEstimate.__slots__:
-            value = getattr(blank, name)
-            if name != "power_W" and (isinstance(value, float) or value == -1):
-                setattr(pack, name, value if name != "silent_cell" else pack.silent_cell)
+        for name in _NUMBERS:
+            setattr(pack, name, getattr(blank, name))
         pack.current_bias_A[:] = math.nan
 
     def _spread(self, pack: PackEstimate, soc: Array) -> None:

@@ -1,0 +1,138 @@
+"""What the use of a cell tells of its capacity and resistance, and what it must not be taken to tell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import synthetic_cell
+from drives import steady, terminal
+
+from bms_ukf import CellParams, Estimator, Sample, Tuning
+from bms_ukf.pack import Health
+from bms_ukf.scaling import scaled
+
+CELL = steady()
+PLATEAU = synthetic_cell.cell_of(synthetic_cell.plateau())
+SECOND = 1_000_000_000
+REST = np.zeros(2400)
+
+
+def cycle(depth_Ah: float) -> np.ndarray:
+    """Current of a day: down by pulses, a rest, up, a rest; the charge that goes comes back."""
+    pulses = np.tile(np.repeat([4.0, 0.5, 3.0, 1.5], 30), 200)
+    down = pulses[: int(np.searchsorted(np.cumsum(pulses), depth_Ah * 3600))]
+    up_s = round(depth_Ah * 3600 / 2.0 / CELL.cell.coulombic_efficiency)
+    return np.concatenate([REST, down, REST, np.full(up_s, -2.0)])
+
+
+def used(
+    capacities: list[float], offset_A: float = 0.0, r0: float = 1.0, days: int = 2, gap: bool = False
+) -> tuple[Health, Estimator]:
+    """Cells of these capacities, multiples of what the estimator is told, after some days."""
+    current = np.concatenate([np.tile(cycle(4.0), days), REST])
+    truth = [scaled(CELL, capacity, 1.0) for capacity in capacities]
+    voltage = np.column_stack([terminal(cell, 0.95, current, r0=r0)[1] for cell in truth])
+    voltage += 0.002 * np.random.default_rng(1).standard_normal(voltage.shape)
+    estimator = Estimator(CELL, len(capacities))
+    health, out = Health(estimator), None
+    for k, i in enumerate(current.tolist()):
+        if gap and i != 0 and k % 2000 < 20:
+            continue
+        volts = voltage[k] if len(capacities) > 1 else float(voltage[k, 0])
+        sample = Sample(k * SECOND, i + offset_A, volts, 25.0)
+        out = estimator.step(sample, out)
+        health.follow(sample, out)
+    return health, estimator
+
+
+@pytest.fixture(scope="module")
+def pack() -> tuple[Health, Estimator]:
+    return used([1.0, 0.9, 0.95], offset_A=0.05)
+
+
+def test_each_cell_of_a_pack_is_found_to_be_what_it_is_whatever_the_sensor_shows_too_much(pack):
+    health, estimator = pack
+    np.testing.assert_allclose(health.capacity, [1.0, 0.9, 0.95], rtol=0.015)
+    assert (np.abs(health.capacity - [1.0, 0.9, 0.95]) < 2 * health.capacity_sigma).all()
+    assert (health.capacity_sigma < 0.02).all()
+    np.testing.assert_allclose(estimator.capacity_scale, health.capacity)
+    assert (health.segments == 4).all()
+
+
+def test_what_the_sensors_gain_may_be_wrong_by_is_not_averaged_away(pack):
+    health, _ = pack
+    assert (health.capacity_sigma > health.estimator.tuning.current_gain_sigma * 0.9).all()
+
+
+def test_a_resistance_is_found_by_the_steps_of_the_load_and_a_fresh_one_stays():
+    aged, _ = used([1.0], r0=1.3, days=1)
+    assert aged.resistance[0] == pytest.approx(1.3, rel=0.1)
+    fresh, _ = used([1.0], days=1)
+    assert fresh.resistance[0] == pytest.approx(1.0, abs=0.05)
+    assert fresh.resistance_sigma[0] < 0.2
+
+
+def test_charge_that_was_not_counted_tells_nothing():
+    health, _ = used([0.9], days=1, gap=True)
+    assert health.segments[0] == 0
+    assert health.capacity[0] == 1.0
+    assert health.capacity_sigma[0] == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_plateau_tells_hardly_anything():
+    """From 80 to 40 % on LFP: the OCV says nothing of where SoC is, so nothing of what the charge was a share of."""
+    estimator = Estimator(PLATEAU, 1, Tuning(initial_soc=0.8, initial_soc_sigma=0.01))
+    health, out = Health(estimator), None
+    current = np.concatenate([REST, np.full(2900, 1.0), REST])
+    voltage = PLATEAU.ocv_V(0.8 - np.cumsum(current) / 3600 / PLATEAU.cell.capacity_Ah, 25.0)
+    for k, i in enumerate(current.tolist()):
+        sample = Sample(k * SECOND, i, float(voltage[k]) - 0.05 * i, 25.0)
+        out = estimator.step(sample, out)
+        health.follow(sample, out)
+    assert health.capacity[0] == pytest.approx(1.0, abs=0.05)
+    assert health.capacity_sigma[0] > 0.08
+
+
+def test_health_outlives_a_restart(pack):
+    health, _ = pack
+    other = Health(Estimator(CELL, 3))
+    other.restore(health.snapshot())
+    assert other.snapshot() == health.snapshot()
+    np.testing.assert_allclose(other.estimator.capacity_scale, health.capacity)
+
+
+@pytest.mark.parametrize("spoil", [lambda data: data[:-1], lambda data: b"X" + data[1:], lambda _: b""])
+def test_what_is_no_health_of_these_cells_is_refused(pack, spoil):
+    other = Health(Estimator(CELL, 3))
+    before = other.snapshot()
+    with pytest.raises(ValueError, match="not the health of 3 cells"):
+        other.restore(spoil(pack[0].snapshot()))
+    assert other.snapshot() == before
+
+
+def test_a_night_switched_off_is_a_rest():
+    """The voltage after it ends the segment that began with the rest before."""
+    current = np.concatenate([REST, cycle(4.0)[len(REST) : -1]])
+    down = current[: np.flatnonzero(current > 0)[-1] + 1]
+    aged: CellParams = scaled(CELL, 0.9, 1.0)
+    soc, voltage = terminal(aged, 0.95, down)
+    estimator = Estimator(CELL)
+    health, out = Health(estimator), None
+    for k, i in enumerate(down.tolist()):
+        sample = Sample(k * SECOND, i, float(voltage[k]), 25.0)
+        out = estimator.step(sample, out)
+        health.follow(sample, out)
+    assert health.segments[0] == 0
+    kept, t_ns = health.snapshot(), len(down) * SECOND
+    health.restore(kept)
+    estimator.sleep(8 * 3600.0, t_ns)
+    health.slept(8 * 3600.0, t_ns)
+    for k in range(1, 20):
+        sample = Sample(t_ns + k * SECOND, 0.0, float(CELL.ocv_V(soc[-1], 25.0)), 25.0)
+        out = estimator.step(sample, out)
+        health.follow(sample, out)
+    assert health.segments[0] == 1
+    assert health.capacity[0] == pytest.approx(0.9, abs=0.02)
+    assert math.isfinite(health.capacity_sigma[0])
