@@ -30,12 +30,12 @@ class Place(NamedTuple):
 Loaded = tuple[Scenario, Path]
 
 
-def hil(given: Sequence[str], place: Place, workers: int, junit_path: Path | None, report: Path | None) -> list[Result]:
+def hil(given: Sequence[str], place: Place, workers: int, junit_path: Path | None) -> list[Result]:
     """Run scenarios in files, folders or shipped, show and write what came of them, and return it.
 
     Raises ConfigError for the first that cannot be read, before any is run.
     """
-    logging.getLogger("bms_ukf").setLevel(logging.ERROR)  # the daemon's own log tells of the faults it is given
+    logging.getLogger("bms_ukf").setLevel(logging.CRITICAL)  # the daemon's own log tells of the faults it is given
     loaded = [scenario.load(path) for path in _files(given)]
     console = Console()
     results = []
@@ -46,10 +46,6 @@ def hil(given: Sequence[str], place: Place, workers: int, junit_path: Path | Non
     view.show(results, console)
     if junit_path is not None:
         junit.write(junit_path, results)
-    if report is not None:
-        from bms_ukf.report.hil import write_report  # brings matplotlib
-
-        console.print(f"report: {write_report(report, results)}", highlight=False, soft_wrap=True)
     return results
 
 
@@ -77,5 +73,5 @@ def _run(loaded: Sequence[Loaded], place: Place, workers: int, watch: Callable[[
 
 
 def _work(place: Place, loaded: Loaded) -> Result:
-    logging.getLogger("bms_ukf").setLevel(logging.ERROR)
+    logging.getLogger("bms_ukf").setLevel(logging.CRITICAL)
     return runner.run(*loaded, *place)
