@@ -28,6 +28,9 @@ bench: .venv/test compiler
 soak: .venv/test
 	PYTHONPATH=tests/reference $(BIN)/python -m soak 1e8
 	PYTHONPATH=tests/reference $(BIN)/python -m fuzz 1e6
+	PYTHONPATH=tests/reference $(BIN)/python -m frame_soak 1e7
+	$(BIN)/python -m pip install --quiet --editable '.[fuzz]'
+	PYTHONPATH=tests/reference $(BIN)/python -m guided_fuzz -runs=1000000 -max_len=72
 	BMS_UKF_KILLS=1000 $(BIN)/python -m pytest tests/test_slots.py -k kill
 
 clean:

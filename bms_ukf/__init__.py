@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from bms_ukf.filter import Filter
     from bms_ukf.records import Estimate, Fault, Sample, Status
     from bms_ukf.tuning import Tuning
+    from bms_ukf.wiring import Wiring
 
 __version__ = "0.1.0"
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Sample",
     "Status",
     "Tuning",
+    "Wiring",
 ]
 
 # Imported when asked for: numba takes longer to load than `bms-ukf --help` should take.
@@ -39,6 +41,7 @@ _HOMES = {
     "Sample": "records",
     "Status": "records",
     "Tuning": "tuning",
+    "Wiring": "wiring",
 }
 
 

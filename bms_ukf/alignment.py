@@ -34,10 +34,14 @@ class Alignment:
             (self._current_ns, Sample(0, sample.current_A, open_circuit=sample.open_circuit), sample.current_A),
             (
                 self._temperature_ns,
-                Sample(0, temperature_degC=copied(sample.temperature_degC)),
+                Sample(0, temperature_degC=copied(sample.temperature_degC), open_circuit=sample.open_circuit),
                 sample.temperature_degC,
             ),
-            (self._voltage_ns, Sample(0, voltage_V=copied(sample.voltage_V)), sample.voltage_V),
+            (
+                self._voltage_ns,
+                Sample(0, voltage_V=copied(sample.voltage_V), open_circuit=sample.open_circuit),
+                sample.voltage_V,
+            ),
         ):
             if not np.all(np.isnan(values)):
                 part.t_ns = sample.t_ns - lag_ns

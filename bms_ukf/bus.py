@@ -62,7 +62,8 @@ def _socketcan(settings: Bus, options: dict[str, Any]) -> can.BusABC:
     bus = SocketCan(settings.channel, receive_buffer_bytes=settings.receive_buffer_bytes, **options)
     if bus.receive_buffer_bytes < settings.receive_buffer_bytes:
         granted, asked = bus.receive_buffer_bytes, settings.receive_buffer_bytes
-        log.info("bus: the kernel grants %d of %d bytes to receive into (net.core.rmem_max)", granted, asked)
+        told = {"granted": granted, "asked": asked}
+        log.info("bus: the kernel grants %(granted)d of %(asked)d bytes to receive into (net.core.rmem_max)", told)
     return bus
 
 
@@ -113,7 +114,8 @@ class SafeBus:
         self._attempts = 0
         self._retry_at = 0.0
         self._dropped = 0  # by the sockets before this one
-        self._not_sent = Seldom(log)
+        self._not_sent, self._bus_off = Seldom(log), Seldom(log)
+        self._lost, self._open_again = Seldom(log, burst=10), Seldom(log, burst=10)
         self.counters = BusCounters()
 
     def recv(self, timeout_s: float) -> can.Message | None:
@@ -130,7 +132,9 @@ class SafeBus:
         self._attempts = 0
         if message is not None and message.is_error_frame and message.arbitration_id & _CAN_ERR_BUSOFF:
             self.counters.bus_off += 1
-            log.warning("bus: the controller is bus-off; ip link set … type can restart-ms 100 has it try again")
+            self._bus_off.warning(
+                "bus: the controller is bus-off; ip link set … type can restart-ms 100 has it try again"
+            )
         self.counters.dropped = self._dropped + getattr(bus, "dropped", 0)
         if self._frame_log is not None and message is not None:
             self._frame_log.received(message)
@@ -156,7 +160,7 @@ class SafeBus:
             self._bus.send(message)
         except _FAILURES as error:
             self.counters.send_failed += 1
-            self._not_sent.warning("bus: frame 0x%X not sent: %s", arbitration_id, error)
+            self._not_sent.warning("bus: frame 0x%(id)X not sent: %(error)s", id=arbitration_id, error=error)
             # The kernel reports a dead interface once, to whichever call comes first: a receiver may never hear of it.
             if _errno(error) not in _QUEUE_FULL:
                 self._fail(error)
@@ -187,12 +191,12 @@ class SafeBus:
             self._fail(error)
             return None
         self.counters.reopened += 1
-        log.warning("bus: open again")
+        self._open_again.warning("bus: open again")
         return self._bus
 
     def _fail(self, error: Exception) -> None:
         if self._attempts == 0:
-            log.warning("bus: %s; trying to open it again", error)
+            self._lost.warning("bus: %(error)s; trying to open it again", error=error)
         self.close()
         self._retry_at = self._monotonic() + BACKOFF_S[min(self._attempts, len(BACKOFF_S) - 1)]
         self._attempts += 1

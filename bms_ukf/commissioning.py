@@ -10,6 +10,7 @@ import logging
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bms_ukf.cell import CellParams
 from bms_ukf.records import Fault, Sample
@@ -46,7 +47,8 @@ class Commissioning:
         temperature_degC = temperature if isinstance(temperature, float) else float(temperature[0])
         if math.isfinite(temperature_degC):
             self._temperature_degC = temperature_degC
-        voltage_V = self._voltage(sample)
+        voltage = sample.voltage_V
+        voltage_V = voltage if isinstance(voltage, float) else self._voltage(sample.t_ns, voltage)
         if not (math.isfinite(voltage_V) and math.isfinite(self._current_A)):
             return
         last = self._last
@@ -57,12 +59,9 @@ class Commissioning:
         if last is not None and apart_s <= SPACING_S[1]:
             self._add(self._current_A - last[1], voltage_V - last[2])
 
-    def _voltage(self, sample: Sample) -> float:
+    def _voltage(self, t_ns: int, voltage: NDArray[np.float64]) -> float:
         """That of one cell, always the same one unless it is heard no more."""
-        voltage = sample.voltage_V
-        if isinstance(voltage, float):
-            return voltage
-        if math.isnan(voltage[self._index]) and self._silent(sample.t_ns):
+        if math.isnan(voltage[self._index]) and self._silent(t_ns):
             self._index, self._last = int(np.argmin(np.isnan(voltage))), None
         return float(voltage[self._index])
 
@@ -107,14 +106,13 @@ class Commissioning:
     def _tell(self) -> None:
         seen = f"over {self.steps:.0f} steps the voltage changes by {1e3 * self.slope_ohm:.3g} mV per A of discharge"
         if self.fault is Fault.CURRENT_SIGN:
-            log.error("current: %s: its sign is wrong (signals.current_positive)", seen)
+            log.error("current: %(seen)s: its sign is wrong (signals.current_positive)", {"seen": seen})
         elif self.fault is Fault.CURRENT_SCALE:
             ratio = -self.slope_ohm / self._r0_ohm()
             log.error(
-                "current: %s, %.3g times what the cell's resistance explains: its scale is wrong, or that of the cell "
-                "(signals.unit, parallel_cells, capacity_scale)",
-                seen,
-                ratio,
+                "current: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, or that "
+                "of the cell (signals.unit, parallel_cells, capacity_scale)",
+                {"seen": seen, "ratio": ratio},
             )
         else:
-            log.info("current: %s: its sign and scale are right", seen)
+            log.info("current: %(seen)s: its sign and scale are right", {"seen": seen})

@@ -15,6 +15,7 @@ from bms_ukf.decoder import Decoder
 from bms_ukf.e2e_settings import E2e
 from bms_ukf.errors import ConfigError
 from bms_ukf.intake import Intake
+from bms_ukf.logsetup import Log
 from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.pace import Pace
 from bms_ukf.scaling import scaled
@@ -111,6 +112,7 @@ class Config(toml.Document):
     state: State | None = None
     recorder: Recorder | None = None
     metrics: Metrics | None = None
+    log: Log = Field(default_factory=Log)
     estimator: Tuning = Field(default_factory=Tuning)
 
 

@@ -148,15 +148,20 @@ class Profile:
         first, last = self.covers or (0, _LONGEST - 1)
         low, high = slice(first, min(at, last + 1)), slice(max(end, first), last + 1)
         values = max(len(starts), len(after))
+        start, suffix = starts[0], after[0]
+
+        def check_fixed(data: bytes) -> bool:
+            covered = data[low] + data[high] + suffix
+            return register(covered, start) ^ xor_out == int.from_bytes(data[at:end], order)
 
         def check(data: bytes) -> bool:
-            n = counter(data) if values > 1 and counter is not None else 0
+            n = counter(data) if counter is not None else 0
             if n >= values:
                 return False
             covered = data[low] + data[high] + after[n % len(after)]
             return register(covered, starts[n % len(starts)]) ^ xor_out == int.from_bytes(data[at:end], order)
 
-        return check
+        return check if values > 1 else check_fixed
 
 
 PresetName = Literal["P01", "P01_LOW", "P01_ALT", "P02", "P05", "P11A"]

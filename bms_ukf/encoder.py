@@ -15,7 +15,7 @@ from bms_ukf.dbc import Field, own_matrix
 from bms_ukf.frames import Frame, Outbox, Pages
 from bms_ukf.records import NAN, Detail, Estimate, PerCell, Status
 
-HEALTH = ("FramesDropped", "FramesRefused", "FramesNotSent", "ClockSteps", "Reopened")
+HEALTH = ("FramesDropped", "FramesRefused", "FramesNotSent", "ClockSteps", "Reopened", "Contradictions")
 
 
 class Encoder:

@@ -14,20 +14,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bms_ukf import beliefs
 from bms_ukf.cell import CellParams
 from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params
-from bms_ukf.kernel.process import TINY_ROOT
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
+from bms_ukf.percell import PerCell
 from bms_ukf.records import Estimate, Fault, Sample, Status
 from bms_ukf.tuning import Tuning
+from bms_ukf.wiring import Wiring
 
 _STATUS = tuple(Status)
 _HIDDEN = tuple(status in {Status.INITIALISING, Status.INVALID} for status in Status)  # no SoC that could be shown
 _FAULTS = tuple(Fault(bits) for bits in range(2 * max(Fault)))  # making one costs more than the filter step
 _NUMERIC = int(Fault.NUMERIC)
 _BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; numbers follow
-_MAGIC = b"BMSUKF02"
+_MAGIC = b"BMSUKF03"
 
 # The results of a cell that an Estimate shows: its fields, and their rows of the kernel's `io`.
 _SHOWN = {
@@ -45,8 +47,12 @@ _SOC_ROWS = {layout.OUT_SOC, layout.OUT_SOC_SIGMA}
 _COMPARISON = ("voltage_pred_V", "innovation_V", "innovation_var_V2", "nis")
 
 
-class Estimator:
-    """State of charge of `cells` cells of one type in series: one filter each, one current through all.
+class Estimator(PerCell):
+    """State of charge of `cells` cells of one type: one filter each, all of them in one call of the kernel.
+
+    The cells are in series under one current, unless `wiring` puts them into strings. One that is not measured is
+    predicted: from its own belief, or, if it has never been heard within `voltage_timeout_s` of the others, from that
+    of its median neighbour, in doubt by `cell_spread_sigma` more. `cell_faults` says which.
 
     A sample may be partial (NaN for what was not measured) and may share its time with the one before; time never runs
     backwards. Where the parts of one instant come apart, the current comes first: it is what has flowed up to then, and
@@ -57,27 +63,28 @@ class Estimator:
     """
 
     __slots__ = (
-        "_addresses",
         "_code",
-        "_form",
-        "_io",
         "_params",
         "_row",
-        "_state",
         "_tick",
         "accepted",
         "cell",
-        "cells",
-        "precision",
         "t_ns",
-        "tuning",
     )
 
     def __init__(
-        self, cell: CellParams, cells: int = 1, tuning: Tuning | None = None, precision: Precision = "f64"
+        self,
+        cell: CellParams,
+        cells: int = 1,
+        tuning: Tuning | None = None,
+        precision: Precision = "f64",
+        wiring: Wiring | None = None,
     ) -> None:
+        """ValueError for no cell, or a wiring of another number of cells."""
         if cells < 1:
             raise ValueError(f"cells is {cells}; expected at least 1")
+        self.wiring = wiring or Wiring()
+        self.wiring.check(cells)
         self.cell, self.cells, self.tuning, self.precision = cell, cells, tuning or Tuning(), precision
         bits = BITS[precision]
         form = self._form = form_of(cell, self.tuning, 1 if cells == 1 else layout.LANES, bits)
@@ -88,13 +95,17 @@ class Estimator:
         self._row: Any = memoryview(self._io[:, 0].data)  # a number in or out of it costs half of what an ndarray asks
         self._addresses = self._params.ctypes.data, self._state.ctypes.data, self._io.ctypes.data, cells
         self._tick = entry.tick(form, bits)
+        self._strings = aligned(cells, bits)
+        self._strings[:] = 0 if self.wiring.string_of is None else self.wiring.string_of
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything measured so far."""
+        """Forget everything measured so far, and every cell's own capacity, resistance and bleed."""
         self._state[:] = np.nan
         self._io[:] = np.nan
         self.t_ns: int | None = None
+        self._shared_ns = 0
+        self._heard_ns = None
         self._code = 0  # what the kernel said last
         self.accepted = 0  # samples that were not refused: what the alive counter on the bus follows
 
@@ -105,7 +116,7 @@ class Estimator:
         """
         estimate = self._blank() if out is None else out
         last_ns = self.t_ns
-        dt = 0.0 if last_ns is None else (sample.t_ns - last_ns) * 1e-9
+        dt = 0.0 if last_ns is None else (sample.t_ns - last_ns) / 1e9
         if dt < 0.0:
             self._read(estimate, self._code)
             self._clear_comparison(estimate)
@@ -113,19 +124,12 @@ class Estimator:
             if estimate.status is Status.OK:
                 estimate.status = Status.DEGRADED
             return estimate
-        if self.cells == 1:
-            self._row[layout.IN_VOLTAGE], self._row[layout.IN_TEMPERATURE] = sample.voltage_V, sample.temperature_degC
-        else:
-            self._io[layout.IN_VOLTAGE] = sample.voltage_V
-            self._io[layout.IN_TEMPERATURE] = sample.temperature_degC
-        current_A = sample.current_A
-        if sample.open_circuit:
-            self._io[layout.IN_OFFSET] = current_A
-            if not self._form.bias:
-                current_A = 0.0
+        current_A = self._take(sample)
         code = self._tick(*self._addresses, dt, current_A)
         if sample.open_circuit:
             self._io[layout.IN_OFFSET] = math.nan
+        if self.cells > 1:
+            self._tend(sample.t_ns, code)
         if not code & _NUMERIC:
             self.accepted += 1
         if not code & _NUMERIC or self.cells > 1:  # a refused step has not passed: the next one covers its time
@@ -133,6 +137,30 @@ class Estimator:
         self._code = code
         self._read(estimate, code)
         return estimate
+
+    def _take(self, sample: Sample) -> float:
+        """Write what was measured where the kernel reads it; returns the current of all cells, NaN with strings."""
+        if self.cells == 1:
+            self._row[layout.IN_VOLTAGE], self._row[layout.IN_TEMPERATURE] = sample.voltage_V, sample.temperature_degC
+        else:
+            temperature, sensor_of = sample.temperature_degC, self.wiring.sensor_of
+            if sensor_of is not None and not isinstance(temperature, float):
+                temperature = temperature[sensor_of]
+            self._io[layout.IN_VOLTAGE], self._io[layout.IN_TEMPERATURE] = sample.voltage_V, temperature
+        current_A, strings_A = sample.current_A, sample.string_current_A
+        if self.wiring.string_of is not None:
+            current_A = math.nan
+            self._io[layout.IN_CURRENT] = math.nan if strings_A is None else strings_A[self.wiring.string_of]
+        if sample.open_circuit:
+            strings, shown, offset = self.wiring.string_of is not None, self._io[layout.IN_CURRENT], layout.OUT_BIAS
+            self._io[layout.IN_OFFSET] = shown if strings else current_A
+            if not self._form.bias:
+                current_A, self._io[layout.IN_CURRENT] = 0.0, math.nan
+            elif strings:  # a reading that is missing: what the sensor would show
+                self._io[layout.IN_CURRENT] = np.where(np.isnan(shown), self._io[offset], shown)
+            elif math.isnan(current_A):
+                current_A = float(np.mean(self._io[offset]))
+        return current_A
 
     def coast(self, t_ns: int, out: Estimate | None = None) -> Estimate:
         """Advance to `t_ns` with nothing measured. It does not count as accepted: nothing was."""
@@ -157,12 +185,16 @@ class Estimator:
         in_doubt = sigma_A * off_s / float(held[layout.P_CHARGE_COULOMB])
         self._params[layout.P_CURRENT_TIMEOUT] = np.inf  # the current is known, however long ago it was measured
         self._params[layout.P_SOC_WALK_OFFSET] = in_doubt**2 / off_s if off_s else 0.0
-        self._io[[layout.IN_VOLTAGE, layout.IN_TEMPERATURE, layout.IN_OFFSET]] = np.nan
-        bias = self._set_bias_aside()  # what flowed is known without the sensor
+        self._io[[layout.IN_VOLTAGE, layout.IN_TEMPERATURE, layout.IN_OFFSET, layout.IN_CURRENT]] = np.nan
+        bleed_A = self.bleed_A  # balancing stops with the rest
+        self.bleed_A = math.nan
+        bias = beliefs.set_bias_aside(self._form, self._state)  # what flowed is known without the sensor
         self._code = self._tick(*self._addresses, float(off_s), tuning.standby_current_A)
         self._params[:] = held
+        self.bleed_A = bleed_A
         self._state[:, layout.H_FRESH] = 1  # the first voltage meets a belief that may be wide
-        self._take_bias_back(bias, math.exp(-off_s / float(held[layout.P_BIAS_TAU])))
+        kept, unknown_A = math.exp(-off_s / float(held[layout.P_BIAS_TAU])), float(held[layout.P_BIAS_SIGMA])
+        beliefs.take_bias_back(self._form, self._state, bias, kept, unknown_A)
 
     def replay(
         self, t_ns: ArrayLike, current_A: ArrayLike, voltage_V: ArrayLike, temperature_degC: ArrayLike
@@ -179,13 +211,13 @@ class Estimator:
         if time.ndim != 1 or any(column.shape != time.shape for column in columns):
             raise ValueError("t_ns, current_A, voltage_V and temperature_degC as arrays of one length")
         before = time[:1] if self.t_ns is None else [self.t_ns]
-        dt = np.diff(time, prepend=before) * 1e-9
+        dt = np.diff(time, prepend=before) / 1e9
         if (dt < 0).any():
             raise ValueError(f"t_ns runs backwards at row {int(np.argmax(dt < 0))}")
         dtype = self._io.dtype
-        io = np.empty((len(time), layout.IO_ROWS), dtype)
+        io = np.full((len(time), layout.IO_ROWS), math.nan, dtype)
         io[:, layout.IN_VOLTAGE], io[:, layout.IN_TEMPERATURE] = columns[1], columns[2]
-        io[:, layout.IN_OFFSET] = np.nan
+        io[:, layout.IN_BLEED] = self._io[layout.IN_BLEED, 0]
         spans, currents = dt.astype(dtype), columns[0].astype(dtype)
         params, state, *_ = self._addresses
         run = entry.replay(self._form, BITS[self.precision])
@@ -222,27 +254,6 @@ class Estimator:
         self._io[:] = numbers[self._state.size :].reshape(self._io.shape)
         self.t_ns, self._code, self.accepted = (t_ns if started else None), code, accepted
 
-    def _set_bias_aside(self) -> NDArray[Any]:
-        """Make the bias 0 and known; returns its mean and variance, shape (2, blocks, lanes)."""
-        m = self._form
-        if not m.bias:
-            return np.empty(0)
-        last, row = m.root - 1, slice(m.carry - m.n, m.carry)
-        aside = np.stack([self._state[:, last], np.sum(self._state[:, row] ** 2, axis=1)])
-        self._state[:, last] = self._state[:, row] = 0.0
-        self._state[:, m.carry - 1] = TINY_ROOT
-        return aside
-
-    def _take_bias_back(self, aside: NDArray[Any], kept: float) -> None:
-        """The share `kept` of the bias is what it was; the rest is as unknown as at the start, and independent."""
-        m = self._form
-        if not m.bias:
-            return
-        unknown = float(self._params[layout.P_BIAS_SIGMA])
-        self._state[:, m.carry - m.n : m.carry] = 0.0
-        self._state[:, m.root - 1] = kept * aside[0]
-        self._state[:, m.carry - 1] = np.sqrt(kept**2 * aside[1] + (1 - kept**2) * unknown**2)
-
     def _params_hash(self) -> bytes:
         return hashlib.sha256(bytes(self._form) + self._params.tobytes()).digest()
 
@@ -253,7 +264,10 @@ class Estimator:
         hidden = _HIDDEN[status]
         if self.cells > 1:
             for name, row in _SHOWN.items():
-                getattr(estimate, name)[:] = math.nan if hidden and row in _SOC_ROWS else self._io[row]
+                getattr(estimate, name)[:] = self._io[row]
+            if status != Status.OK:
+                hide = np.array(_HIDDEN)[self.cell_status] | hidden
+                estimate.soc[hide] = estimate.soc_sigma[hide] = math.nan  # type: ignore[index]
             return
         row = self._row
         if hidden:

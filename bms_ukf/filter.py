@@ -56,7 +56,8 @@ class Filter:
         self._state[m.carry : m.cache] = 0
         self._state[layout.H_VOLTAGE_AGE] = self._state[layout.H_HEARD_AGE] = 1
         self._state[layout.H_REJECTED_S] = np.nan
-        self._state[layout.H_VOLTAGE_SCALE] = self._state[layout.H_R0_SCALE] = self._state[layout.H_FRESH] = 1
+        for slot in ("VOLTAGE_SCALE", "R0_SCALE", "FRESH", "PER_CAPACITY", "RESISTANCE"):
+            self._state[getattr(layout, f"H_{slot}")] = 1
         self._state[m.x : m.root] = mean
         self._state[m.root : m.carry] = np.diag(sigmas)[np.tril_indices(m.n)]
         self._addresses = self._params.ctypes.data, self._state.ctypes.data, self._work.ctypes.data

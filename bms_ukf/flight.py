@@ -85,8 +85,7 @@ class Recorder:
         estimator = self._estimator
         written = datetime.now(UTC).isoformat(timespec="seconds")
         cell, tuning = estimator.cell.model_dump_json(), estimator.tuning.model_dump_json()
-        words = "|".join(fault.name.lower() for fault in reason if fault.name)
-        values = (1, words, written, estimator.cells, estimator.precision, cell, tuning)
+        values = (1, words(reason), written, estimator.cells, estimator.precision, cell, tuning)
         parts = [json.dumps(dict(zip(HEADER, values, strict=True))).encode() + b"\n"]
         for snapshot, entries in self._parts:
             parts += [LENGTH.pack(len(snapshot)), snapshot, LENGTH.pack(len(entries)), bytes(entries)]
@@ -118,9 +117,16 @@ class Recorder:
             (self.folder / name).write_bytes(data)
             for old in sorted(self.folder.glob(f"*{SUFFIX}"))[: -self._keep]:
                 old.unlink(missing_ok=True)
-            log.warning("flight recorder: %s written to %s", self._reason, self.folder / name)
+            told = {"faults": words(self._reason), "file": self.folder / name}
+            log.warning("flight recorder: %(faults)s written to %(file)s", told)
         except OSError as error:
-            log.warning("flight recorder: %s: not written (%s)", self.folder / name, error.strerror)
+            told = {"file": self.folder / name, "error": error.strerror}
+            log.warning("flight recorder: %(file)s: not written (%(error)s)", told)
+
+
+def words(faults: Fault) -> str:
+    """Their names, joined by a bar."""
+    return "|".join(fault.name.lower() for fault in faults if fault.name)
 
 
 def summary(estimate: Estimate) -> tuple[float, float, int, int, int]:

@@ -49,7 +49,9 @@ class FrameLog:
             try:
                 writer.stop()
             except OSError as error:
-                log.warning("frame log: %s: not complete (%s)", self._path, error.strerror)
+                log.warning(
+                    "frame log: %(file)s: not complete (%(error)s)", {"file": self._path, "error": error.strerror}
+                )
 
     def _write(self, message: can.Message) -> None:
         if self._writer is None:
@@ -63,5 +65,5 @@ class FrameLog:
                 if file is not None:
                     file.flush()
         except OSError as error:
-            log.warning("frame log: %s: ended (%s)", self._path, error.strerror)
+            log.warning("frame log: %(file)s: ended (%(error)s)", {"file": self._path, "error": error.strerror})
             self.close()

@@ -27,6 +27,11 @@ class Intake:
         return self.decoder.counters
 
     @property
+    def contradictions(self) -> int:
+        """How often a current was shown while the contactors were open."""
+        return 0 if self._circuit is None else self._circuit.contradictions
+
+    @property
     def behind_ns(self) -> int:
         """How much older than the frame a sample may be that comes of it."""
         return self._alignment.behind_ns
@@ -40,7 +45,7 @@ class Intake:
             return ()
         if self._circuit is not None:
             contactor = self.decoder.contactor
-            sample.open_circuit = self._circuit.is_offset(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
+            sample.open_circuit = self._circuit.nothing_flows(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
         return self._alignment.put(sample)
 
     def due(self, t_ns: int) -> Sequence[Sample]:

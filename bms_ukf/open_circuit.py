@@ -1,4 +1,4 @@
-"""When the current sensor shows nothing but its offset: with contactors that have been open for a while."""
+"""When no current can flow, and the sensor shows nothing but its offset: behind contactors open for a while."""
 
 from __future__ import annotations
 
@@ -7,19 +7,29 @@ HEARD_NS = 5_000_000_000  # a state of the contactors older than this says nothi
 
 
 class OpenCircuit:
-    """Follows the contactors, and tells which readings of the current are the sensor's offset."""
+    """Follows the contactors, and tells when nothing flows. `contradictions`: how often a current was shown then."""
 
     def __init__(self, limit_A: float) -> None:
         """A reading beyond `limit_A` is no offset: sensor or contactor is wrong, and which is not known here."""
+        self.contradictions = 0
         self._limit_A = limit_A
         self._open_ns: int | None = None
+        self._contradicted = False
 
-    def is_offset(self, current_A: float, t_ns: int, is_open: bool, heard_ns: int | None) -> bool:
-        """Whether a reading at `t_ns` is one of no current; `heard_ns` is when the contactors said what they are."""
+    def nothing_flows(self, current_A: float, t_ns: int, is_open: bool, heard_ns: int | None) -> bool:
+        """Whether a reading at `t_ns`, NaN if there is none, is one of no current.
+
+        `heard_ns` is when the contactors said what they are.
+        """
         if heard_ns is None or t_ns - heard_ns > HEARD_NS or not is_open:
-            self._open_ns = None
+            self._open_ns, self._contradicted = None, False
         elif self._open_ns is None:
             self._open_ns = t_ns
         elif t_ns - self._open_ns >= SETTLE_NS:
-            return abs(current_A) <= self._limit_A
+            if abs(current_A) > self._limit_A:
+                self.contradictions += not self._contradicted
+                self._contradicted = True
+            elif current_A == current_A:  # noqa: PLR0124 - not NaN
+                self._contradicted = False
+            return not self._contradicted
         return False

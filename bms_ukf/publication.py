@@ -13,7 +13,7 @@ REST_C = 0.02  # what is no load, as a share of the capacity per hour
 HELD_S = 5.0  # the current is taken to have flowed for no longer than this
 
 # Wrong with one sample, and no longer with the next: a scan is many samples, and what it publishes tells of them all.
-PASSING = (
+PASSING = int(
     Fault.CURRENT_MISSING
     | Fault.CURRENT_IMPLAUSIBLE
     | Fault.VOLTAGE_IMPLAUSIBLE
@@ -22,6 +22,7 @@ PASSING = (
     | Fault.TIME_REVERSED
     | Fault.NUMERIC
 )
+_CURRENT_MISSING = int(Fault.CURRENT_MISSING)
 _AVAILABLE = (Status.OK, Status.DEGRADED)
 _COMPARED = ("voltage_pred_V", "innovation_V", "nis")
 
@@ -33,9 +34,9 @@ class Publication:
         """`slew_per_s` is how fast `soc_slewed` may be corrected, beyond the charge that has flowed."""
         self.detail = Detail()
         self.slew_per_s = slew_per_s
-        self._capacity_As = capacity_Ah * 3600.0
-        self._held: dict[str, PerCell] = {}
-        self._passed = Fault.NONE
+        self._capacity_As, self._load_A = capacity_Ah * 3600.0, REST_C * capacity_Ah
+        self._held: tuple[PerCell, ...] | None = None  # of _COMPARED
+        self._passed = 0
         self._load_ns: int | None = None  # when there last was one, or might have been
         self._current_ns: int | None = None
         self._published_ns: int | None = None
@@ -43,55 +44,58 @@ class Publication:
 
     def follow(self, sample: Sample, estimate: Estimate) -> None:
         """Take note of a step."""
-        self._passed |= estimate.faults & PASSING
-        current_A = sample.current_A
-        if math.isfinite(current_A):
-            last_ns, self._current_ns = self._current_ns, sample.t_ns
+        faults = int(estimate.faults)  # the operators of an enumeration take as long as the filter's step
+        self._passed |= faults & PASSING
+        current_A, t_ns = abs(sample.current_A), sample.t_ns
+        if current_A < math.inf:
+            last_ns, self._current_ns = self._current_ns, t_ns
             if last_ns is not None:
-                self._moved += abs(current_A) * min((sample.t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
-            if abs(current_A) * 3600.0 > REST_C * self._capacity_As:
-                self._load_ns = sample.t_ns
-        if Fault.CURRENT_MISSING in estimate.faults or self._load_ns is None:
-            self._load_ns = sample.t_ns
+                self._moved += current_A * min((t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
+            if current_A > self._load_A:
+                self._load_ns = t_ns
+        if faults & _CURRENT_MISSING or self._load_ns is None:
+            self._load_ns = t_ns
         self._hold(estimate)
-        if estimate.status in _AVAILABLE and _fused(estimate.age_s):
+        if _fused(estimate.age_s) and estimate.status in _AVAILABLE:
             first = self.detail.source is Source.NONE
-            rested = sample.t_ns - self._load_ns >= REST_NS
+            rested = t_ns - self._load_ns >= REST_NS
             self.detail.source = Source.START if first else Source.REST if rested else Source.VOLTAGE
 
-    def complete(self, estimate: Estimate, t_ns: int, shown: Fault = Fault.NONE) -> Detail:
-        """Write what the steps since the last set said into `estimate`, with the faults `shown`; returns the rest."""
-        for name, values in self._held.items():
+    def complete(self, estimate: Estimate, t_ns: int, shown: int = 0) -> Detail:
+        """Write what the steps since the last set said into `estimate`, with the fault bits `shown`; gives the rest."""
+        for name, values in zip(_COMPARED, self._held or (), strict=False):
             if isinstance(values, float):
                 setattr(estimate, name, values)
             else:
                 np.copyto(getattr(estimate, name), values, where=~np.isnan(values))
-        self._held = {}
+        self._held = None
         shown |= self._passed
-        self._passed = Fault.NONE
+        self._passed = 0
         if shown:
-            estimate.faults |= shown
+            estimate.faults |= Fault(shown)
             if estimate.status is Status.OK:
                 estimate.status = Status.DEGRADED
         self._slew(estimate, t_ns)
         return self.detail
 
     def _hold(self, estimate: Estimate) -> None:
-        if isinstance(estimate.innovation_V, float):
-            if not math.isnan(estimate.innovation_V):
-                for name in _COMPARED:
-                    self._held[name] = getattr(estimate, name)
+        innovation_V = estimate.innovation_V
+        if isinstance(innovation_V, float):
+            if not math.isnan(innovation_V):
+                self._held = estimate.voltage_pred_V, innovation_V, estimate.nis
             return
-        compared = ~np.isnan(estimate.innovation_V)
+        compared = ~np.isnan(innovation_V)
         if compared.any():
-            for name in _COMPARED:
-                values = getattr(estimate, name)
-                held = self._held.setdefault(name, np.full(len(values), NAN))
-                np.copyto(held, values, where=compared)  # type: ignore[arg-type]
+            if self._held is None:
+                self._held = tuple(np.full(len(innovation_V), NAN) for _ in _COMPARED)
+            for kept, name in zip(self._held, _COMPARED, strict=True):
+                np.copyto(kept, getattr(estimate, name), where=compared)  # type: ignore[arg-type]
 
     def _slew(self, estimate: Estimate, t_ns: int) -> None:
         available = estimate.status in _AVAILABLE
-        soc = float(np.mean(estimate.soc)) if available else NAN
+        soc = NAN
+        if available:
+            soc = estimate.soc if isinstance(estimate.soc, float) else float(np.mean(estimate.soc))
         shown = self.detail.soc_slewed
         if not math.isnan(shown) and self._published_ns is not None:
             step = self._moved + self.slew_per_s * max(t_ns - self._published_ns, 0) * 1e-9

@@ -90,8 +90,9 @@ class Sample:
     t_ns: int
     current_A: float = NAN  # positive = discharge
     voltage_V: PerCell = NAN  # cell terminal voltage; array of shape (cells,) for a pack
-    temperature_degC: PerCell = NAN
-    open_circuit: bool = False  # the contactor is known to be open: `current_A` is the sensor's offset, nothing flows
+    temperature_degC: PerCell = NAN  # array of shape (cells,), or (sensors,) where a `Wiring` says whose they are
+    open_circuit: bool = False  # the contactor is known to be open: nothing flows, `current_A` is the sensor's offset
+    string_current_A: NDArray[np.float64] | None = None  # (strings,) in place of `current_A`, by a `Wiring`
 
 
 @dataclass(slots=True)

@@ -9,15 +9,15 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import sys
 import threading
 import time
+from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
 
-from bms_ukf import roles
+from bms_ukf import logsetup, roles, toml
 from bms_ukf.bus import SafeBus, open_bus
-from bms_ukf.config import Setup
+from bms_ukf.config import Config, Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
@@ -38,7 +38,7 @@ def serve(path: Path, log_frames: Path | None = None) -> None:
 
     `log_frames`: every frame received and sent is written to this file.
     """
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    logsetup.to_stderr(toml.load(path, Config).log)
     stop = threading.Event()
     received: list[int] = []
 
@@ -88,9 +88,10 @@ class Service:
         if state is not None:
             place = _place(state.file, self._path)
             stored, line = resume(self._estimator, place, time.time_ns(), self.daemon.now_ns(), state.max_age_s)
-            log.log(logging.INFO if stored <= Stored.USED else logging.WARNING, "state: %s: %s", stored.word, line)
+            level = logging.INFO if stored <= Stored.USED else logging.WARNING
+            log.log(level, "state: %(state)s: %(reason)s", {"state": stored.word, "reason": line})
             self.daemon.resumed(stored)
-        log.info("running: %s", "; ".join(_explanation(self._setup).splitlines()))
+        log.info("running: %(setup)s", {"setup": "; ".join(_explanation(self._setup).splitlines())})
         self._notify.ready(self._status())
 
     def chores(self) -> None:
@@ -110,9 +111,10 @@ class Service:
         self._notify.reloading()
         try:
             self._adopt(_checked(self._path))
-            log.info("reloaded: %s", "; ".join(_explanation(self._setup).splitlines()))
+            log.info("reloaded: %(setup)s", {"setup": "; ".join(_explanation(self._setup).splitlines())})
         except ConfigError as error:
-            log.error("not reloaded, and running as before: %s", error)  # noqa: TRY400 - one line, as everywhere
+            told = {"error": str(error)}
+            log.error("not reloaded, and running as before: %(error)s", told)  # noqa: TRY400 - one line, as everywhere
         self._notify.ready(self._status())
 
     def close(self) -> None:
@@ -120,14 +122,18 @@ class Service:
         self._notify.stopping()
         self._store()
         if self._keeper is not None and not self._keeper.close():
-            log.warning("state: %s: not stored in time", self._keeper.path)
+            log.warning("state: %(file)s: not stored in time", {"file": self._keeper.path})
         self._bus.close()
         if self._exporter is not None:
             self._exporter.close()
         if self._log is not None:
             self._log.close()
-        counters = self._setup.decoder.counters
-        log.info("stopped: %d answers; received %s; bus %s", self.daemon.published, counters, self._bus.counters)
+        told = {
+            "answers": self.daemon.published,
+            "received": asdict(self._setup.decoder.counters),
+            "bus": asdict(self._bus.counters),
+        }
+        log.info("stopped: %(answers)d answers; received %(received)s; bus %(bus)s", told)
 
     def _adopt(self, setup: Setup) -> None:
         """ConfigError, with everything as it was, if that cannot be done."""
@@ -141,6 +147,8 @@ class Service:
             if self._exporter is not None:
                 self._exporter.close()
             self._exporter = exporter
+        if old.log != new.log:
+            logsetup.to_stderr(new.log)
         if old.bus != new.bus or sorted(self._setup.decoder.ids()) != sorted(setup.decoder.ids()):
             bus = self._opened(setup)
             self._bus.close()

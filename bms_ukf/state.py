@@ -91,7 +91,9 @@ class Keeper:
                 slots.write(self.path, slot, before)
                 before = slot
             except OSError as error:
-                self._not_written.warning("state: %s: not stored (%s)", self.path, error.strerror)
+                self._not_written.warning(
+                    "state: %(file)s: not stored (%(error)s)", file=self.path, error=error.strerror
+                )
 
     def _stored(self) -> Slot | None:
         try:

@@ -118,6 +118,12 @@ class Trace:
         self._words[row] = estimate.status, estimate.faults
         self._n = row + 1
 
+    def _grow(self, capacity: int) -> None:
+        larger = Trace(capacity)
+        larger._t_ns[: self._n], larger._numbers[: self._n] = self._t_ns, self._numbers
+        larger._words[: self._n] = self._words
+        self._t_ns, self._numbers, self._words = larger._t_ns, larger._numbers, larger._words
+
     def columns(self) -> dict[str, NDArray[np.float64] | list[str]]:
         """What a file holds, by column: `time_s`, numbers as they are, `status` and `faults` in words."""
         optional = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
@@ -127,12 +133,6 @@ class Trace:
         }
         estimated = {name: self[name] for name in _ESTIMATED}
         return {"time_s": self.t_ns / 1e9} | estimated | words | {name: self[name] for name in optional}
-
-    def _grow(self, capacity: int) -> None:
-        larger = Trace(capacity)
-        larger._t_ns[: self._n], larger._numbers[: self._n] = self._t_ns, self._numbers
-        larger._words[: self._n] = self._words
-        self._t_ns, self._numbers, self._words = larger._t_ns, larger._numbers, larger._words
 
     def write_csv(self, path: Path) -> None:
         """Write all rows, numbers with 9 significant digits. Raises ConfigError if `path` cannot be written."""

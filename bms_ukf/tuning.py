@@ -25,6 +25,9 @@ class Tuning(Section):
 
     current_offset_sigma_A: Positive | None = None  # None: C/50
     current_bias: bool = True  # estimate the offset as a state of the filter
+    # One sensor, many cells: how alike the errors are by which two cells of a string tell its offset. 1: no two cells
+    # know more than one.
+    bias_error_correlation: Annotated[float, Field(ge=0, le=1)] = 0.5
     current_gain_sigma: NonNegative = 0.01
     current_error_horizon_s: Positive = 7200.0  # how long an offset stays the same before it is another one
     voltage_sensor_sigma_V: NonNegative = 0.002
@@ -32,6 +35,9 @@ class Tuning(Section):
     # What a cell gives while nothing is measured: self-discharge and what stays awake.
     standby_current_A: NonNegative = 0.0
     standby_sigma_A: NonNegative | None = None  # None: C/2000
+
+    # One sigma of SoC between the cells of a pack: what is believed of a cell that has never been measured.
+    cell_spread_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.03
 
     # A current counts for no longer than this, so it must exceed the interval between samples.
     current_timeout_s: Positive = 5.0

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from drives import steady, terminal
+from scipy.signal import lfilter
 
 from bms_ukf import Estimator, Sample, Tuning
 from bms_ukf.kernel import layout
@@ -44,6 +45,20 @@ def test_an_r0_that_is_wrong_by_a_third_is_found_within_minutes_of_a_drive(r0, r
     shown = Estimator(CELL).replay(*sample)["r0_ohm"]
     assert abs(shown[1] / R0 - 1) < 0.1  # it did start from the file's
     assert shown[-100:] / R0 == pytest.approx(r0, abs=0.05)
+
+
+@pytest.mark.parametrize("rate_hz", [2, 10, 50])
+def test_a_charge_transfer_of_some_tenths_of_a_second_stays_a_part_of_r0_however_fast_voltages_come(rate_hz):
+    """Half of r0 shows at once, half with a time constant of 0.3 s, as in real cells; the cell file knows the sum."""
+    current = np.repeat(load(1800), rate_hz)
+    soc, voltage = terminal(CELL, 0.8, current, rate_hz, 0.5)
+    a = math.exp(-1 / rate_hz / 0.3)
+    voltage -= 0.5 * R0 * lfilter([1 - a], [1, -a], current)
+    voltage += 0.002 * np.random.default_rng(2).standard_normal(current.size)
+    t_ns = np.arange(current.size) * (10**9 // rate_hz)
+    got = Estimator(CELL).replay(t_ns, current, voltage, np.full(current.size, 25.0))
+    assert got["r0_ohm"][300 * rate_hz :] / R0 == pytest.approx(1.0, abs=0.1)
+    assert np.abs(got["soc"] - soc)[300 * rate_hz :].max() < 0.01
 
 
 @pytest.mark.parametrize("offset_A", [-0.1, 0.1])

@@ -45,7 +45,16 @@ def test_behind_an_open_contactor_soc_stands_still_with_and_without_a_bias_state
         assert abs(after.soc - before) < 1e-3, tuning  # an hour of 0.1 A is 2 %
 
 
-@pytest.mark.parametrize("reading", [1e6, -math.inf, NAN])
+@pytest.mark.parametrize("bias", [True, False])
+def test_behind_an_open_contactor_a_current_that_was_held_flows_no_more(bias):
+    estimator = Estimator(CELL, tuning=Tuning(current_bias=bias))
+    before = shown(estimator, 3.0, range(5)).soc
+    after = shown(estimator, NAN, range(5, 3600), open_circuit=True)
+    assert after.soc == pytest.approx(before, abs=1e-6)
+    assert not after.faults & Fault.CURRENT_MISSING
+
+
+@pytest.mark.parametrize("reading", [1e6, -math.inf])
 def test_a_reading_that_no_sensor_gives_is_no_offset(reading):
     estimator, without = (Estimator(CELL) for _ in range(2))
     for each in (estimator, without):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from model_cell import ModelCell
 from bms_ukf import ConfigError, Estimator, Sample, Status
 from bms_ukf.framelog import FrameLog
 from bms_ukf.node import SampleEncoder
-from bms_ukf.replay import canlog
+from bms_ukf.replay import canlog, logs
 from bms_ukf.replay.logs import LogClock, frames
 
 START_S = 1_700_000_000.0
@@ -122,7 +123,11 @@ def test_a_log_that_was_cut_off_is_read_to_its_end_and_one_that_is_none_is_refus
     text = path.read_text()
     path.write_text(text[:-30])
     assert len(list(frames(path, ALL))) == 299
-    path.write_text(text[:1000] + "\nnothing\n" + text[1000:])
+    cut = text.index("\n", 1000) + 1
+    path.write_text(text[:cut] + "nothing\n" + text[cut:])
+    with pytest.raises(ConfigError, match="a line of candump -L"):
+        list(frames(path, ALL))
+    path.write_text(text.replace("122#", "122#x", 1))
     with pytest.raises(ConfigError, match="a line of candump -L"):
         list(frames(path, ALL))
 
@@ -140,11 +145,44 @@ def test_extended_remote_and_fd_frames_of_candump_are_told_apart(tmp_path):
     (tmp_path / "x.log").write_text(
         "(1.0) can0 120#11\n(1.1) can0 00000120#22\n(1.2) can0 120#R\n(1.3) can0 120##0AABB\n(1.4) can0 120#\n"
     )
-    found = list(frames(tmp_path / "x.log", [(0x120, False)]))
-    assert [bytes(m.data) for m in found] == [b"\x11", b"", b"\xaa\xbb", b""]
-    assert [m.is_remote_frame for m in found] == [False, True, False, False]
-    assert [m.is_fd for m in found] == [False, False, True, False]
-    assert [bytes(m.data) for m in frames(tmp_path / "x.log", [(0x120, True)])] == [b"\x22"]
+    classic = list(frames(tmp_path / "x.log", [(0x120, False)]))
+    assert [(data, told) for *_, data, told in classic] == [
+        (b"\x11", True),
+        (b"", False),
+        (b"\xaa\xbb", False),
+        (b"", True),
+    ]
+    assert [told for *_, told in frames(tmp_path / "x.log", [(0x120, False)], fd=True)] == [True, False, True, True]
+    assert list(frames(tmp_path / "x.log", [(0x120, True)])) == [(1.1, 0x120, True, b"\x22", True)]
+
+
+def test_a_candump_log_is_read_as_python_can_reads_it_whatever_else_is_on_the_bus(tmp_path):
+    dice, ids = random.Random(3), [(0x1DB, False), (0x7, False), (0x18FF50E5, True)]
+    others = [(0x1DA, False), (0xDB, False), (0x1DB, True), (0x500, False)]
+    with can.CanutilsLogWriter(tmp_path / "x.log", channel="vcan0") as writer:
+        for k in range(3000):
+            number, extended = dice.choice(ids + others)
+            data = dice.randbytes(dice.randrange(9))
+            writer(can.Message(START_S + k * 1e-3, number, extended, data=data, channel="can12", is_rx=k % 2 == 0))
+    theirs = [
+        (m.timestamp, m.arbitration_id, m.is_extended_id, bytes(m.data), True)
+        for m in can.LogReader(tmp_path / "x.log")
+        if (m.arbitration_id, m.is_extended_id) in ids
+    ]
+    assert list(frames(tmp_path / "x.log", ids)) == theirs
+    assert 1000 < len(theirs) < 2000
+
+
+def test_a_log_read_in_pieces_is_the_log(tmp_path, monkeypatch):
+    lines = [f"({k}.000001) can0 {'120' if k % 3 else '121'}#{k % 256:02X}\n" for k in range(500)]
+    (tmp_path / "x.log").write_text("".join(lines))
+    whole = list(frames(tmp_path / "x.log", [(0x120, False)]))
+    for size in (1, 27, 100, 4000):
+        monkeypatch.setattr(logs, "_CHUNK_BYTES", size)
+        assert list(frames(tmp_path / "x.log", [(0x120, False)])) == whole
+        (tmp_path / "y.log").write_text("".join(lines) + "x\n" + lines[0])
+        with pytest.raises(ConfigError, match="line 501"):
+            list(frames(tmp_path / "y.log", [(0x120, False)]))
 
 
 def test_a_log_without_any_frame_of_interest_is_one_line(tmp_path, config):

@@ -19,12 +19,13 @@ from hypothesis import strategies as st
 from model_cell import ModelCell
 
 from bms_ukf import CellParams, Estimate, Estimator, Fault, Sample, Status, Tuning, clock
-from bms_ukf import daemon as daemon_module
+from bms_ukf import core as core_module
 from bms_ukf.alignment import Alignment
 from bms_ukf.bus import SafeBus, open_bus
 from bms_ukf.clock import LockstepClock, StampClock
 from bms_ukf.config import Bus
-from bms_ukf.daemon import FAULT_HOLD_NS, Daemon
+from bms_ukf.core import FAULT_HOLD_NS
+from bms_ukf.daemon import Daemon
 from bms_ukf.dbc import own_matrix
 from bms_ukf.decoder import Decoder
 from bms_ukf.intake import Intake
@@ -175,7 +176,7 @@ def rig_of(cell: CellParams, cells: int = 1, **options: Any) -> Iterator[Rig]:
 
 @pytest.fixture
 def rig(cell, monkeypatch):
-    monkeypatch.setattr(daemon_module, "POLL_S", 0.0)
+    monkeypatch.setattr(core_module, "PATIENCE_NS", 0)
     with rig_of(cell) as rig:
         yield rig
 
@@ -247,7 +248,7 @@ def test_a_fault_of_one_frame_is_told_with_its_scan_though_other_frames_come_aft
 
 
 def test_a_fault_of_any_cell_is_told_whichever_page_it_is_on(cell, monkeypatch):
-    monkeypatch.setattr(daemon_module, "POLL_S", 0.0)
+    monkeypatch.setattr(core_module, "PATIENCE_NS", 0)
     with rig_of(cell, cells=6) as rig:
         for k in range(1, 30):
             rig.feed(Sample(k * SECOND_NS, 0.0, np.full(6, 3.7), 25.0))
@@ -380,7 +381,7 @@ def test_with_a_period_sets_come_at_a_steady_rate_however_fast_the_frames_do(cel
 
 
 def test_with_a_period_silence_is_told_at_the_same_rate_and_the_counter_is_held(cell, samples, monkeypatch):
-    monkeypatch.setattr(daemon_module, "POLL_S", 0.0)
+    monkeypatch.setattr(core_module, "PATIENCE_NS", 0)
     with rig_of(cell, pace=Pace(period_s=0.1)) as rig:
         for sample in samples(30):
             rig.feed(sample)
@@ -453,6 +454,9 @@ def test_behind_open_contactors_a_small_reading_is_published_as_offset_and_a_lar
             rig.feed(Sample(k * SECOND_NS, reading_A, 3.7, 25.0))
         published = signals_of("SocDetail", rig.all_frames())[-1]["CurrentBias"]
         assert published == pytest.approx(bias_A, abs=within_A)
+        rig.feed(Sample(61 * SECOND_NS, reading_A, 3.7, 25.0))
+        health = signals_of("BusHealth", rig.all_frames())[-1]
+        assert health["Contradictions"] == (reading_A > 0.5)
 
 
 def test_signals_that_arrive_late_are_estimated_as_if_they_did_not(cell, samples):

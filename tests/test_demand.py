@@ -97,6 +97,22 @@ def test_the_voltage_is_held_at_any_step(step_s: float) -> None:
     assert high_V[-1] == pytest.approx(4.1, abs=2e-3)
 
 
+class ColdCell(Cell):
+    """Its resistance falls with the current, as that of kinetics does: by a half from 0.25 A to 2.5 A."""
+
+    @property
+    def voltage_V(self) -> np.ndarray:
+        return self.emf - 0.15 * math.asinh(self.current_A)
+
+
+def test_a_resistance_that_rises_as_the_current_falls_does_not_make_the_voltage_oscillate() -> None:
+    current_A, high_V, _, _ = run(CHARGE, cell=ColdCell(), step_s=1.0).T
+    held = np.flatnonzero(current_A > -2.5 + 1e-9)[1:]
+    assert np.abs(high_V[held] - 4.1).max() < 2e-3
+    assert np.all(np.diff(current_A[held[5:]]) > 0)
+    assert -0.12 < current_A[-1] < -0.1
+
+
 def test_a_string_is_charged_until_its_highest_cell_and_discharged_until_its_lowest() -> None:
     spread = [0.5, 0.55, 0.6]
     charged = run(CHARGE, cell=Cell(soc=spread))

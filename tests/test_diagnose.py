@@ -16,7 +16,7 @@ from rich.console import Console
 
 from bms_ukf import CellParams, Tuning, cli, diagnose, diagnose_view
 from bms_ukf.kernel import layout
-from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 
 SIZES = [("small", 0.1 / 3), ("medium", 0.1), ("large", 0.2)]
 

@@ -30,7 +30,12 @@ MAY_IMPORT = {
     "cell": {"errors", "pchip", "records", "resources", "toml"},
     "tuning": {"errors", "toml"},
     "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
-    "estimator": {"cell", "errors", "kernel", "records", "tuning"},
+    "wiring": set(),
+    "beliefs": {"kernel"},
+    "percell": {"beliefs", "kernel", "records", "tuning", "wiring"},
+    "estimator": {"beliefs", "cell", "errors", "kernel", "percell", "records", "tuning", "wiring"},
+    "pack": {"beliefs", "cell", "estimator", "kernel", "pack", "records", "toml", "tuning"},
+    "firmware": {"__version__", "cell", "errors", "firmware", "kernel", "records", "tuning"},
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
     "manifest": {"cell", "errors", "toml"},
@@ -74,6 +79,7 @@ MAY_IMPORT = {
     "skeleton": {"candidates", "dbc", "units"},
     "socketcan": set(),
     "seldom": set(),
+    "logsetup": {"toml"},
     "publication": {"records"},
     "pace": set(),
     "framelog": {"errors"},
@@ -83,13 +89,15 @@ MAY_IMPORT = {
     "state": {"estimator", "records", "seldom", "slots"},
     "notify": set(),
     "commissioning": {"cell", "records"},
+    "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan"},
+    "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {
     "numba": {"identify", "kernel", "offline"},
     "pyarrow": {"recordings", "replay"},
     "distributed": {"replay"},
-    "llvmlite": {"kernel"},
+    "llvmlite": {"firmware", "kernel"},
     "fmpy": {"fmumaker", "plant"},
     "pybamm": {"plantmaker"},
     "casadi": {"plantmaker"},
@@ -101,6 +109,7 @@ KNOWN_TO = {
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.
 PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator", "filter"}
+PURE |= {"wiring", "beliefs", "percell", "pack"}
 IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
 
 SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]

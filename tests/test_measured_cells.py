@@ -11,6 +11,8 @@ from bms_ukf import identify
 from bms_ukf.cell import CellParams
 from bms_ukf.identify import openloop
 from bms_ukf.manifest import Manifest
+from bms_ukf.replay import rerun
+from bms_ukf.replay.rerun import Options
 from bms_ukf.score import score
 
 CELLS = Path(__file__).resolve().parents[1] / "models" / "cells"
@@ -37,6 +39,20 @@ def test_a_shipped_cell_predicts_the_voltage_of_tests_never_fitted(name: str) ->
         found_mV.setdefault(test.test.temperature_degC, []).append(rmse_mV)
     for temperature, gate_mV in GATES_MV[name].items():
         assert np.mean(found_mV[temperature]) <= gate_mV
+
+
+@pytest.mark.usefixtures("third_party")
+@pytest.mark.parametrize("recording", ["25degC_Cycle_2", "25degC_US06", "10degC_US06", "0degC_US06", "n10degC_US06"])
+def test_soc_is_as_good_at_the_rate_a_cell_was_recorded_at_as_once_a_second(third_party: Path, recording: str) -> None:
+    cell = CellParams.load("panasonic_ncr18650pf")
+    path = third_party / "panasonic_ncr18650pf" / f"{recording}.csv.gz"
+    error_pct = {}
+    for resample_s in (None, 1.0):
+        options = Options(current_positive="charge", resample_s=resample_s)
+        _, summary = rerun.rerun(rerun.load(path, options), cell, options)
+        error_pct[resample_s] = summary["rmse_pct"]
+    assert error_pct[None] < 1.0 + 1.5 * error_pct[1.0]
+    assert error_pct[None] < 2.5
 
 
 # SoC error of the estimator on the same tests, %, mean over those of a temperature. At 0 and -10 degC the reference

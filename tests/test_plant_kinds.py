@@ -51,10 +51,12 @@ def test_cells_are_an_array_of_fmi_3_as_long_as_a_structural_parameter_says(tmp_
         open_plant(fmu, variables=names, parameters={"spread": 1.0})
 
 
-def test_cells_are_a_list_of_variables(tmp_path):
-    variables = (Var("I", "input", "A", "0"), Var("v[1]", "output", "V"), Var("v[2]", "output", "V"))
-    fmu = build(tmp_path / "pack.fmu", variables, "v_1_ = 3 - I; v_2_ = 4 - I; return 0;", "v_1_ = 3; v_2_ = 4;")
-    with open_plant(fmu, variables={"current_A": "I", "voltage_V": ["v[1]", "v[2]"], **NONE}) as plant:
+@pytest.mark.parametrize(("name", "mapped"), [("v", {"voltage_V": ["v[1]", "v[2]"]}), ("voltage_V", {})])
+def test_cells_are_a_list_of_variables(tmp_path, name, mapped):
+    variables = (Var("I", "input", "A", "0"), *(Var(f"{name}[{k}]", "output", "V") for k in (1, 2)))
+    step = "v_1_ = 3 - I; v_2_ = 4 - I; return 0;".replace("v_", f"{name}_")
+    fmu = build(tmp_path / "pack.fmu", variables, step, f"{name}_1_ = 3; {name}_2_ = 4;")
+    with open_plant(fmu, variables={"current_A": "I", **mapped, **NONE}) as plant:
         np.testing.assert_array_equal(plant.state.voltage_V, [3.0, 4.0])
         np.testing.assert_array_equal(plant.step(1.0, SECOND).voltage_V, [2.0, 3.0])
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kernel_record import Record
 
 from bms_ukf import CellParams, Fault, Tuning
-from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
 LINEAR = synthetic_cell.cell_of(synthetic_cell.linear())

@@ -50,7 +50,7 @@ def build(folder: Path, fmu: Path, fmi: int = 2) -> None:
     headers = [_find(folder, name) for name in (*model.headers, "model.h", "instance.h")]
     headers += [Path(fmpy.__file__).parent / "c-code" / name for name in FMI_HEADERS[fmi]]
     token = _token(table, [*sources, *headers])
-    readme = (folder / "README.md").read_text(encoding="utf-8")
+    readme = _find(folder, "README.md").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         (root / "sources").mkdir()
@@ -67,7 +67,10 @@ def build(folder: Path, fmu: Path, fmi: int = 2) -> None:
         (root / "modelDescription.xml").write_bytes(describe(table, token, fmi))
         library = root / "binaries" / _platform(fmi) / f"{model.name}{fmpy.sharedLibraryExtension}"
         _compile([root / "sources" / path.name for path in sources], library)
-        _zip(root, fmu)
+        try:
+            _zip(root, fmu)
+        except OSError as error:
+            raise ConfigError(fmu, expected=f"a file that can be written ({error.strerror})") from None
 
 
 def _platform(fmi: int) -> str:

@@ -7,12 +7,11 @@ from typing import Any
 
 from bms_ukf.kernel import adapt
 from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import dynamics
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import tri
 from bms_ukf.kernel.memory import real
-
-VOLTAGE_ERROR_S = 1.0  # how long a fast voltage error lasts: the interval that [noise] of a cell file is derived at
 
 
 @inline
@@ -20,16 +19,17 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     """Give a lane without a belief its first one, as soon as a current, a temperature and a voltage are known."""
     W = m.lanes
     for c in range(lanes):
-        known = y[W * k.Y_VOLTAGE + c] + w[W * k.H_CURRENT + c] + w[W * k.H_TEMPERATURE + c]
+        known = y[W * k.Y_VOLTAGE + c] + y[W * k.Y_CURRENT + c] + w[W * k.H_TEMPERATURE + c]
         if y[W * k.Y_ALIVE + c] == real(w, 0) and math.isfinite(known):
             # The load may have begun just now or long ago: the RC voltages are between nothing and r i.
-            half = w[W * k.H_CURRENT + c] / real(w, 2)
+            half = y[W * k.Y_CURRENT + c] / real(w, 2)
             for j in range(m.n_rc):
-                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, y, m, c, j) * half
+                w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, w, y, m, c, j) * half
             if m.hysteresis:
                 w[W * (m.x + k.V_RC1 + m.n_rc) + c] = real(w, 0)
             if m.bias:
-                w[W * (m.x + m.n - 1) + c] = real(w, 0)
+                w[W * (m.x + m.n - 1) + c] = w[W * k.H_SHARED + c] = real(w, 0)
+                w[W * k.H_SHARED_VAR + c] = p[k.P_BIAS_SIGMA] * p[k.P_BIAS_SIGMA]
             before = math.sqrt(p[k.P_INITIAL_CURRENT] * p[k.P_INITIAL_CURRENT] + half * half)
             believe(p, w, y, m, c, p[k.P_INITIAL_SOC], p[k.P_INITIAL_SIGMA], before)
             w[W * k.H_GAP_S + c] = real(w, 0)
@@ -58,7 +58,7 @@ def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before
     error *= error
     for j in range(m.n_rc):
         row = k.V_RC1 + j
-        drop = resistance(p, y, m, c, j) * before
+        drop = resistance(p, w, y, m, c, j) * before
         w[W * (m.root + tri(row, row)) + c] = math.sqrt(error * p[k.P_VAR_V + j] + drop * drop)
     if m.hysteresis:
         row = k.V_RC1 + m.n_rc
@@ -71,18 +71,18 @@ def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before
 
 
 @inline
-def resistance(p: Any, y: Any, m: Any, c: int, j: int) -> Any:
+def resistance(p: Any, w: Any, y: Any, m: Any, c: int, j: int) -> Any:
     """r of an RC pair at half charge, ohm: SoC is not known yet, and at the ends of a table r is beyond all measure."""
     W = m.lanes
-    return dynamics(p, real(p, 0.5), y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)
+    return w[W * k.H_RESISTANCE + c] * dynamics(p, real(p, 0.5), y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)
 
 
 @inline
-def largest_sigma(p: Any, y: Any, m: Any, c: int, row: int) -> Any:
+def largest_sigma(p: Any, w: Any, y: Any, m: Any, c: int, row: int) -> Any:
     """Of a state, whatever happens: SoC, V or A."""
     largest = p[k.P_SOC_SIGMA_MAX]
     if k.V_RC1 <= row < k.V_RC1 + m.n_rc:
-        largest = resistance(p, y, m, c, row - k.V_RC1) * p[k.P_CURRENT_RANGE]
+        largest = resistance(p, w, y, m, c, row - k.V_RC1) * p[k.P_CURRENT_RANGE]
     if m.hysteresis and row == k.V_RC1 + m.n_rc:
         largest = y[m.lanes * (k.Y_DYN + k.D_RC1 + 2 * m.n_rc) + c]
     if m.bias and row == m.n - 1:
@@ -108,7 +108,7 @@ def doubt(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
                 for column in range(row + 1):
                     old = w[W * (m.root + tri(row, column)) + c]
                     variance += old * old
-                most = largest_sigma(p, y, m, c, row) / math.sqrt(variance)
+                most = largest_sigma(p, w, y, m, c, row) / math.sqrt(variance)
                 times = max(real(w, 1), min(factor, most))
                 for column in range(row + 1):
                     w[W * (m.root + tri(row, column)) + c] *= times

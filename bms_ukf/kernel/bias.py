@@ -75,6 +75,10 @@ def fuse_rest(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, la
         innovation = shown - w[W * (m.x + last) + c]
         y[W * k.Y_ALPHA + c], y[W * k.Y_INNOVATION + c], y[W * k.Y_TRUST + c] = alpha, innovation, real(p, 1)
         fuse = (known | rested) & (y[W * k.Y_ALIVE + c] > real(p, 0)) & is_number(innovation + variance)
+        common, common_var = w[W * k.H_SHARED + c], w[W * k.H_SHARED_VAR + c]
+        gain = common_var / (common_var + alpha)  # every cell of the string is told the same
+        w[W * k.H_SHARED + c] = common + gain * (shown - common) if fuse else common
+        w[W * k.H_SHARED_VAR + c] = common_var - gain * common_var if fuse else common_var
         y[W * k.Y_FUSE + c] = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
         told |= 1 if fuse else 0
     if told:

@@ -26,6 +26,10 @@ from bms_ukf.kernel.layout import (
     C_KNOT,
     C_TEMPERATURE,
     C_VALUES,
+    D_KNEE,
+    D_R0,
+    D_R0_CHARGE,
+    D_RC1,
     OCV_COEFFICIENTS,
     P_DYN,
     P_OCV,
@@ -36,7 +40,7 @@ from bms_ukf.kernel.layout import (
     T_ROWS,
     T_TEMP0,
 )
-from bms_ukf.kernel.memory import floor, real
+from bms_ukf.kernel.memory import floor, real, whole
 
 
 @inline
@@ -76,7 +80,7 @@ def ocv_interval(p: Any, row_at: Any, soc: Any) -> tuple[Any, Any]:
 @inline
 def ocv_cubic(p: Any, at: int, d: Any, f: Any) -> Any:
     """OCV, V, from the interval at `at` of a row and the same of the next."""
-    warmer = at + int(p[P_OCV + T_ROW_SIZE])
+    warmer = at + whole(p[P_OCV + T_ROW_SIZE])
     cold = p[at] + d * (p[at + 1] + d * (p[at + 2] + d * p[at + 3]))
     warm = p[warmer] + d * (p[warmer + 1] + d * (p[warmer + 2] + d * p[warmer + 3]))
     return cold + f * (warm - cold)
@@ -87,7 +91,7 @@ def ocv(p: Any, soc: Any, T: Any) -> Any:
     """Open-circuit voltage, V: PCHIP in SoC, extrapolated by its edge slope; linear between temperature rows."""
     row_at, f = between_rows(p, P_OCV, T)
     at, d = ocv_interval(p, row_at, soc)
-    return ocv_cubic(p, int(at), d, f)
+    return ocv_cubic(p, whole(at), d, f)
 
 
 @inline
@@ -105,7 +109,7 @@ def dynamics(p: Any, soc: Any, T: Any, channel: int, channels: int) -> Any:
     """One of the `D_*` channels (ohm, s, A, V): bilinear in SoC and T, held at the edges."""
     row_at, f = between_rows(p, P_DYN, T)
     k, d = dynamics_knot(p, soc)
-    at = int(row_at) + int(k) * channels + channel
+    at = whole(row_at) + whole(k) * channels + channel
     value, rise = _blend(p, at, f, channels)
     return value + d * rise
 
@@ -113,23 +117,32 @@ def dynamics(p: Any, soc: Any, T: Any, channel: int, channels: int) -> Any:
 @inline
 def _blend(p: Any, at: int, f: Any, channels: int) -> tuple[Any, Any]:
     """A channel's value at a knot and its rise to the next, between two temperature rows."""
-    warmer = at + int(p[P_DYN + T_ROW_SIZE])
+    warmer = at + whole(p[P_DYN + T_ROW_SIZE])
     here = p[at] + f * (p[warmer] - p[at])
     there = p[at + channels] + f * (p[warmer + channels] - p[at + channels])
     return here, there - here
 
 
 @inline
-def cache_dynamics(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any) -> None:
-    """Fill the cache of the record at `o`: within its SoC interval, at its T, it gives what `dynamics` gives."""
+def cache_dynamics(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, resistance: Any) -> None:
+    """Fill the cache of the record at `o`: within its SoC interval, at its T, it gives what `dynamics` gives.
+
+    Of a cell with `resistance` times the resistances of the cell file: it drops at a current what the file's cell drops
+    at `resistance` times that current, so its knee comes as much earlier.
+    """
     row_at, f = between_rows(p, P_DYN, T)
     k, _ = dynamics_knot(p, soc)
-    at = int(row_at) + int(k) * m.channels
+    at = whole(row_at) + whole(k) * m.channels
     c = o + m.lanes * m.cache
     s[c + m.lanes * C_KNOT] = k
     s[c + m.lanes * C_TEMPERATURE] = T
     for channel in range(m.channels):
         value, rise = _blend(p, at + channel, f, m.channels)
+        r_j = (channel >= D_RC1) & (channel < D_RC1 + 2 * m.n_rc) & ((channel - D_RC1) % 2 == 0)
+        times = resistance if r_j | (channel == D_R0) | (channel == D_R0_CHARGE) else real(p, 1)
+        times = real(p, 1) / resistance if channel == D_KNEE else times
+        value *= times
+        rise *= times
         s[c + m.lanes * (C_VALUES + 2 * channel)] = value
         s[c + m.lanes * (C_VALUES + 2 * channel + 1)] = rise
 

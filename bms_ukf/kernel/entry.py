@@ -10,7 +10,8 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bms_ukf.kernel import ecm, layout
+from bms_ukf.kernel import ecm, layout, shared
+from bms_ukf.kernel import limits as reach
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import entry
 from bms_ukf.kernel.layout import Form, form_at_compile_time
@@ -22,7 +23,7 @@ def tick(form: Form, bits: int) -> Callable[[int, int, int, int, float, float], 
     """tick(params, state, io, cells, dt, current) -> code: `step.step` of every cell under one current, A; dt >= 0 s.
 
     `io` has `layout.IO_ROWS` rows of `cells` numbers. Returns the faults of all cells together (`records.Fault`) and,
-    from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, else the worst.
+    from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, OK or INVALID if every cell's is.
     """
     n_rc, hysteresis, bias, core, lanes, compensated = form.variant
     copied, values = lanes * form.cache, lanes * layout.VALUES
@@ -70,6 +71,48 @@ def replay(form: Form, bits: int) -> Callable[[int, int, int, int, int, int], in
         return policy.together(codes)
 
     return entry(replay, "int64(int64, int64, int64, int64, int64, int64)")
+
+
+@functools.cache
+def exchange(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
+    """exchange(params, state, string_of, string, cells): `shared.exchange`; `string_of` has `cells` numbers."""
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    copied, values = form.cache, layout.VALUES
+
+    def exchange(params: int, state: int, string_of: int, string: int, cells: int) -> None:
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        alone = form_at_compile_time(n_rc, hysteresis, bias, core, 1, compensated)
+        p, s, strings = pointer(params, bits), pointer(state, bits), pointer(string_of, bits)
+        w, y = vector(s, copied), vector(s, values)
+        shared.exchange(p, s, w, y, strings, string, cells, m, alone)
+
+    return entry(exchange, "void(int64, int64, int64, int64, int64)")
+
+
+@functools.cache
+def limits(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
+    """limits(params, state, out, conditions, cells): `limits.limits`; LIMIT_ROWS rows of `cells` numbers in `out`."""
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+
+    def limits(params: int, state: int, out: int, conditions: int, cells: int) -> None:
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        p, s, a = pointer(params, bits), pointer(state, bits), pointer(conditions, bits)
+        reach.limits(p, s, pointer(out, bits), a, cells, m)
+
+    return entry(limits, "void(int64, int64, int64, int64, int64)")
+
+
+@functools.cache
+def energy(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
+    """energy(params, state, out, conditions, cells): `limits.energy`, into the row L_MEAN_V of `out`."""
+    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+
+    def energy(params: int, state: int, out: int, conditions: int, cells: int) -> None:
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        p, s, a = pointer(params, bits), pointer(state, bits), pointer(conditions, bits)
+        reach.energy(p, s, pointer(out, bits), a, cells, m)
+
+    return entry(energy, "void(int64, int64, int64, int64, int64)")
 
 
 class ThreeSteps(NamedTuple):

@@ -25,14 +25,17 @@ UNKNOWN_TEMPERATURE = 25.0  # where tables are read for a cell that has no belie
 def take(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int, dt: Any, current: Any) -> None:
     """Age what is held, then take what was measured and is plausible, from `io[row * rows + first + lane]`."""
     W = m.lanes
-    fresh = (p[k.P_CURRENT_MIN] <= current) & (current <= p[k.P_CURRENT_MAX])
-    fault = real(p, CURRENT_IMPLAUSIBLE) if not fresh and not math.isnan(current) else real(p, 0)
     zero, nan = real(p, 0), real(p, math.nan)
     for c in range(lanes):
-        code = fault
+        own, bleed = io[rows * k.IN_CURRENT + first + c], io[rows * k.IN_BLEED + first + c]
+        through = own if is_number(own) else current
+        fresh = (p[k.P_CURRENT_MIN] <= through) & (through <= p[k.P_CURRENT_MAX])
+        code = real(p, CURRENT_IMPLAUSIBLE) if (not fresh) & is_number(through) else zero
         held = w[W * k.H_CURRENT + c]
         age = w[W * k.H_CURRENT_AGE + c] + dt
-        w[W * k.H_CURRENT + c] = current if fresh else held
+        held = through if fresh else held
+        w[W * k.H_CURRENT + c] = held
+        y[W * k.Y_CURRENT + c] = held + bleed if is_number(bleed) else held
         w[W * k.H_CURRENT_AGE + c] = zero if fresh else age
 
         measured = io[rows * k.IN_TEMPERATURE + first + c]

@@ -20,14 +20,17 @@ from typing import Any, TypeVar
 
 import numba
 from numba import config
-from numba.core import event
+from numba.core import compiler, event
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
+from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _register_pass: Any = register_pass
+_compiler: Any = compiler
+_target: Any = cpu_target
 _CONFIG: Any = config  # its names are set from the environment: invisible to type checkers
 DISABLED = bool(getattr(config, "DISABLE_JIT", 0))
 
@@ -48,7 +51,7 @@ class _Tidy(NativeLowering):
         try:
             lower: Any = super().run_pass
             changed = bool(lower(state))
-            state.library.finalize()
+            _link(state.library)
             passes, builder = state.targetctx.codegen()._module_pass_manager()
         finally:
             _CONFIG.OPT = level
@@ -66,6 +69,16 @@ class _Tidy(NativeLowering):
         state.cr = state.cr._replace(cfunc=name)
         state.targetctx.insert_user_function(name, state.cr.fndesc, [state.library])
         return changed
+
+
+def _link(library: Any) -> None:
+    """`library.finalize()` without machine code: its modules are only for inlining."""
+    for used in dict.fromkeys(library._linking_libraries):
+        library._final_module.link_in(used._get_module_for_linking(), preserve=True)
+    library._optimize_final_module()
+    library._final_module.verify()
+    library._finalize_dynamic_globals()
+    library._finalized = True
 
 
 class _Inlined(CompilerBase):
@@ -99,6 +112,21 @@ def entry(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
         call: Callable[..., Any] = compiled.compile(signature)
     DISPATCHERS.append(compiled)
     return call
+
+
+def portable(function: Callable[..., Any], returns: Any, arguments: tuple[Any, ...]) -> tuple[str, str]:
+    """A kernel function for any machine, from numba's types of what it takes and returns: its LLVM module, its name.
+
+    All it calls is in the module; nothing is optimised for this machine or for its vectors, and no object of numba's
+    run time is needed. Its C arguments come after two pointers: where the result goes, and numba's exception.
+    """
+    flags = _compiler.Flags()
+    flags.nrt = flags.enable_pyobject = False
+    flags.error_model = OPTIONS["error_model"]
+    _target.target_context.refresh()
+    typing, context = _target.typing_context, _target.target_context
+    result = _compiler.compile_extra(typing, context, function, arguments, returns, flags, {}, None, _Inlined)
+    return str(result.library._final_module), result.fndesc.llvm_func_name
 
 
 DISPATCHERS: list[Any] = []  # a dispatcher owns the machine code that its wrapper jumps to

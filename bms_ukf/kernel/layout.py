@@ -118,7 +118,8 @@ P_ADAPT = 44  # 1: the innovations tell r0 and the size of the fast voltage erro
 P_EXCITED = 45  # a current that moves by more shows what r0 is, A
 P_OCV = 46  # the two table descriptors, see the T_* offsets
 P_DYN = 52
-PARAMS_HEADER = 58
+P_ALIKE = 58  # correlation of the cells' errors where they tell their current's offset
+PARAMS_HEADER = 59
 
 # A table descriptor: rows over temperature, knots over SoC, both uniform.
 T_OFFSET = 0  # where its numbers start in `params`
@@ -153,13 +154,22 @@ H_FRESH = 10  # 1: no voltage has been fused yet into this belief
 H_VOLTAGE_SCALE = 11  # variance of the fast voltage error, as a multiple of what the cell file says (`adapt`)
 H_R0_SCALE = 12  # r0, as a multiple of the cell file's
 H_R0_VAR = 13  # and the variance of that
-H_RESIDUAL = 14  # of the last voltage, after it was fused, V; NaN: it was not
-H_OHMIC = 15  # the ohmic drop then, by the cell file's r0, V
-H_STILL_A = 16  # the current that has not moved since
-H_STILL_S = 17  # so many s
-H_REST_A = 18  # what the current sensor showed at the last rest, A; NaN: there was none
-H_LOADED = 19  # 1: a load was seen since
-HELD = 20
+H_RESIDUAL = 14  # what the last voltage fused left of its innovation, V; NaN: there was none
+H_STILL_A = 15  # the current that has not moved since
+H_STILL_S = 16  # so many s
+H_REST_A = 17  # what the current sensor showed at the last rest, A; NaN: there was none
+H_LOADED = 18  # 1: a load was seen since
+H_OHMIC = 19  # ohmic drop by the cell file's r0, the mean of the last whole block (`adapt`), V
+H_DRIFT = 20  # how far the error of the prediction has moved from its mean there, V
+H_BLOCK_DRIFT = 21  # of the present block: sums over its voltages, their number, and its length in s
+H_BLOCK_OHMIC = 22
+H_BLOCK_COUNT = 23
+H_BLOCK_S = 24
+H_PER_CAPACITY = 25  # the cell file's capacity over the cell's own; NaN: 1
+H_RESISTANCE = 26  # the cell's resistances over the cell file's; NaN: 1
+H_SHARED = 27  # what all cells of a string know of their current's offset: its mean, A (`shared`)
+H_SHARED_VAR = 28  # and its variance, A^2
+HELD = 29
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached
@@ -194,7 +204,8 @@ Y_OHMIC = 27  # ohmic drop by the cell file's r0, V; NaN: at an unknown current
 Y_SINCE_HEARD = 28  # s since the voltage before this one
 Y_TRUST = 29  # share of its Kalman gain that the bias takes from this measurement, 0..1
 Y_RESTED = 30  # 1: a rest shows what the one before it showed
-Y_B = 31  # N_MAX slots: sqrt_P^-1 Pxz, V
+Y_CURRENT = 31  # of the cell: its string's and what balancing takes, A
+Y_B = 32  # N_MAX slots: sqrt_P^-1 Pxz, V
 Y_DYN = Y_B + N_MAX  # CHANNELS_MAX slots
 Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, then of the core: 1 - exp(-time / tau)
 Y_FADE = Y_FALL + N_RC_MAX + 2  # the same over the gap
@@ -210,14 +221,39 @@ BY_QUADRATURE = 2
 IN_VOLTAGE = 0  # V; NaN: not measured
 IN_TEMPERATURE = 1  # degC
 IN_OFFSET = 2  # A, what the current sensor shows while none can flow; NaN: that is not known
-OUT_SOC = 3  # 0..1
-OUT_SOC_SIGMA = 4
-OUT_VOLTAGE_PRED = 5  # V, before fusing; NaN here and below: nothing to compare
-OUT_INNOVATION = 6  # V
-OUT_INNOVATION_VAR = 7  # V^2
-OUT_NIS = 8
-OUT_AGE = 9  # s since a voltage was fused
-OUT_BIAS = 10  # A; NaN without a bias state
-OUT_R0 = 11  # ohm, in the direction of the current, as tracked
-OUT_CODE = 12  # faults and status of the cell, as the tick returns those of all
-IO_ROWS = 13
+IN_CURRENT = 3  # A, of the cell's own string; NaN: the current of the tick
+IN_BLEED = 4  # A, what balancing takes from the cell beside it, positive = discharge; NaN: 0
+OUT_SOC = 5  # 0..1
+OUT_SOC_SIGMA = 6
+OUT_VOLTAGE_PRED = 7  # V, before fusing; NaN here and below: nothing to compare
+OUT_INNOVATION = 8  # V
+OUT_INNOVATION_VAR = 9  # V^2
+OUT_NIS = 10
+OUT_AGE = 11  # s since a voltage was fused
+OUT_BIAS = 12  # A; NaN without a bias state
+OUT_R0 = 13  # ohm, in the direction of the current, as tracked
+OUT_CODE = 14  # faults and status of the cell, as the tick returns those of all
+IO_ROWS = 15
+
+# Conditions for `limits`.
+A_VOLTAGE_MIN = 0  # V
+A_VOLTAGE_MAX = 1
+A_CURRENT_MIN = 2  # A, negative: charge
+A_CURRENT_MAX = 3
+A_DISCHARGE_RATE = 4  # A, at which a cell is to be emptied
+A_CHARGE_RATE = 5  # A, negative, and filled
+A_SECONDS = 6  # length of a pulse
+A_MOVED = 7  # charge whose energy is asked for, A s, negative: to be charged
+A_DRAIN = 8  # and the current it flows at, A
+CONDITIONS = 9
+
+# Rows of what `limits` gives.
+L_EMPTY = 0  # SoC at which the cell is empty at that rate, 0..1
+L_FULL = 1
+L_DISCHARGE = 2  # A, of a pulse; then the same of a charge, <= 0
+L_SIGMA = 1  # offsets from these: one sigma, A
+L_VOLTAGE = 2  # terminal voltage at its end, V
+L_OHM = 3  # and how fast that falls with the current, ohm
+L_CHARGE = 6
+L_MEAN_V = 10  # V
+LIMIT_ROWS = 11

@@ -1,4 +1,4 @@
-"""What the kernel needs and Python lacks: raw pointers, vectors on the stack, typed constants, a floor that is real.
+"""What the kernel needs and Python lacks: raw pointers, vectors on the stack, typed constants, short whole numbers.
 
 Every kernel function works on `CPointer(float32)` or `CPointer(float64)` with flat indexing, which is all that a
 microcontroller needs too. An ndarray argument would allocate at every call; an integer address does not.
@@ -35,6 +35,12 @@ if DISABLED:
     def floor(value: float) -> float:
         return float(math.floor(value)) if math.isfinite(value) else value
 
+    def whole(value: float) -> int:
+        return int(value)
+
+    def words(pointer: Any) -> Any:
+        return ctypes.cast(pointer, ctypes.POINTER(ctypes.c_int32))
+
 else:
     _TYPES = {32: (types.float32, ir.FloatType()), 64: (types.float64, ir.DoubleType())}
 
@@ -63,10 +69,16 @@ else:
 
     @intrinsic
     def real(typing_context: Any, pointer: Any, value: Any) -> Any:
-        """`value` as the type `pointer` points to: a bare literal would make a float32 kernel compute in double."""
+        """`value` as the type `pointer` points to: a bare literal would make a float32 kernel compute in double.
+
+        A whole number must fit 32 bits; of 64, a microcontroller would call its compiler's library.
+        """
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return context.cast(builder, arguments[1], value, pointer.dtype)
+            number, of = arguments[1], value
+            if isinstance(value, types.Integer):
+                number, of = context.cast(builder, number, value, types.int32), types.int32
+            return context.cast(builder, number, of, pointer.dtype)
 
         return pointer.dtype(pointer, value), generate
 
@@ -79,3 +91,23 @@ else:
             return builder.call(function, arguments)
 
         return value(value), generate
+
+    @intrinsic
+    def whole(typing_context: Any, value: Any) -> Any:
+        """A real as a whole number of 32 bits, which microcontrollers and vector units have an instruction for."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            number = builder.fptosi(arguments[0], ir.IntType(32))
+            return builder.sext(number, ir.IntType(64))
+
+        return types.int64(value), generate
+
+    @intrinsic
+    def words(typing_context: Any, pointer: Any) -> Any:
+        """The same memory as whole numbers of 32 bits."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.bitcast(arguments[0], ir.IntType(32).as_pointer())
+
+        numbers: Any = types.CPointer
+        return numbers(types.int32)(pointer), generate

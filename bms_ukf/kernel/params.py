@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,18 @@ Array = NDArray[np.float64]
 Precision = Literal["f32", "f64"]
 BITS = {"f32": 32, "f64": 64}
 
-# The kernel's tables are uniform, so that finding an interval is a multiplication.
-OCV_INTERVALS = 200
-DYN_INTERVALS = 40
-TEMPERATURE_STEP_K = 5.0
+
+class Grid(NamedTuple):
+    """How fine the kernel's tables are. They are uniform, so that finding an interval is a multiplication."""
+
+    ocv_intervals: int = 200
+    dyn_intervals: int = 40
+    temperature_step_K: float = 5.0
+
+
+FULL = Grid()
+COMPACT = Grid(ocv_intervals=100, dyn_intervals=20, temperature_step_K=10.0)  # a third of the size, for firmware
+
 SOC_SIGMA_MIN = 1e-4  # no reading of an OCV curve is better
 SOC_SIGMA_MAX = 0.5  # of a quantity between 0 and 1: more says nothing
 ROUNDING_MAX_V = 1e-4  # a tenth of what a good voltage sensor resolves
@@ -35,15 +43,15 @@ def form_of(cell: CellParams, tuning: Tuning, lanes: int = 1, bits: int = 64) ->
     return form(cell.dynamics.n_rc, int(hysteresis), int(tuning.current_bias), int(core), lanes, int(bits == 32))
 
 
-def params(cell: CellParams, tuning: Tuning, bits: int = 64) -> NDArray[Any]:
+def params(cell: CellParams, tuning: Tuning, bits: int = 64, grid: Grid = FULL) -> NDArray[Any]:
     """The `params` buffer, 64-byte aligned, of numbers of 32 or 64 bits."""
-    ocv, ocv_temperatures = _ocv_table(cell)
-    dyn, dyn_temperatures = _dynamics_table(cell)
+    ocv, ocv_temperatures = _ocv_table(cell, grid)
+    dyn, dyn_temperatures = _dynamics_table(cell, grid)
     p = np.full(k.PARAMS_HEADER + ocv.size + dyn.size, np.nan)
     _write_cell(p, cell, tuning)
     _write_tuning(p, cell, tuning, bits)
-    _write_table(p, k.P_OCV, k.PARAMS_HEADER, ocv, ocv_temperatures, OCV_INTERVALS)
-    _write_table(p, k.P_DYN, k.PARAMS_HEADER + ocv.size, dyn, dyn_temperatures, DYN_INTERVALS)
+    _write_table(p, k.P_OCV, k.PARAMS_HEADER, ocv, ocv_temperatures, grid.ocv_intervals)
+    _write_table(p, k.P_DYN, k.PARAMS_HEADER + ocv.size, dyn, dyn_temperatures, grid.dyn_intervals)
     buffer = aligned(p.size, bits)
     buffer[:] = p
     return buffer
@@ -85,6 +93,7 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     unseen_A = 0.0 if tuning.current_bias else offset_A
     p[k.P_BIAS_SIGMA], p[k.P_BIAS_TAU] = offset_A, tuning.current_error_horizon_s
     p[k.P_CURRENT_OFFSET] = unseen_A
+    p[k.P_ALIKE] = tuning.bias_error_correlation
     p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 400, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
     p[k.P_SOC_WALK_GAIN] = (tuning.current_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
@@ -146,14 +155,14 @@ def _write_table(p: Array, descriptor: int, offset: int, table: Array, temperatu
     p[descriptor + k.T_INV_DTEMP] = 1 / (temperatures[1] - temperatures[0])
 
 
-def _ocv_table(cell: CellParams) -> tuple[Array, Array]:
+def _ocv_table(cell: CellParams, grid: Grid) -> tuple[Array, Array]:
     """(rows, 1 + intervals + 1, 4) cubic coefficients in the fraction of an interval, and the rows' temperatures."""
     if cell.ocv.docv_dT_V_per_K is not None:
         temperatures = np.array(cell.cell.temperature_limits_degC)  # linear in between, exactly
     else:
-        temperatures = _uniform(cell.ocv.temperature_degC)
-    soc = np.linspace(0, 1, OCV_INTERVALS + 1)
-    h = 1 / OCV_INTERVALS
+        temperatures = _uniform(cell.ocv.temperature_degC, grid)
+    soc = np.linspace(0, 1, grid.ocv_intervals + 1)
+    h = 1 / grid.ocv_intervals
     rows = []
     for temperature in temperatures:
         voltage = cell.ocv_V(soc, temperature)
@@ -164,19 +173,21 @@ def _ocv_table(cell: CellParams) -> tuple[Array, Array]:
     return np.array(rows), temperatures
 
 
-def _dynamics_table(cell: CellParams) -> tuple[Array, Array]:
+def _dynamics_table(cell: CellParams, grid: Grid) -> tuple[Array, Array]:
     """(rows, knots, channels) values of the `D_*` channels, and the rows' temperatures."""
     known = {*cell.dynamics.temperature_degC, *(cell.noise.temperature_degC or [])}
     known |= set(cell.hysteresis.temperature_degC) if cell.hysteresis else set()
-    temperatures = _uniform(sorted(known))
-    soc = np.linspace(0, 1, DYN_INTERVALS + 1)
+    temperatures = _uniform(sorted(known), grid)
+    soc = np.linspace(0, 1, grid.dyn_intervals + 1)
     rows = [np.column_stack(list(cell.dynamics_at(soc, temperature).values())) for temperature in temperatures]
     return np.array(rows), temperatures
 
 
-def _uniform(temperatures: list[float]) -> Array:
-    """At least two temperatures, evenly spaced at most TEMPERATURE_STEP_K apart, that span those given."""
+def _uniform(temperatures: list[float], grid: Grid) -> Array:
+    """At least two temperatures, evenly spaced at most the grid's step apart, that span those given."""
     low, high = temperatures[0], temperatures[-1]
     if low == high:
-        return np.array([low, low + TEMPERATURE_STEP_K])  # both rows come out alike: the tables hold beyond their edge
-    return np.linspace(low, high, math.ceil((high - low) / TEMPERATURE_STEP_K) + 1)
+        return np.array(
+            [low, low + grid.temperature_step_K]
+        )  # both rows come out alike: the tables hold beyond their edge
+    return np.linspace(low, high, math.ceil((high - low) / grid.temperature_step_K) + 1)

@@ -23,14 +23,14 @@ RESOLVED = 1e-4  # of a variance: a float32 root moves by 1 part in 20 000, of w
 def soc_per_ampere(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
     """SoC per ampere of the known current in this step, 1/A."""
     W = m.lanes
-    ce = p[k.P_CE_CHARGE] if w[W * k.H_CURRENT + c] < real(p, 0) else real(p, 1)
-    return ce * y[W * k.Y_KNOWN + c] / p[k.P_CHARGE_COULOMB]
+    ce = p[k.P_CE_CHARGE] if y[W * k.Y_CURRENT + c] < real(p, 0) else real(p, 1)
+    return ce * y[W * k.Y_KNOWN + c] / p[k.P_CHARGE_COULOMB] * w[W * k.H_PER_CAPACITY + c]
 
 
 @inline
 def charge(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
     """SoC that the known current takes off the cell in this step."""
-    return w[m.lanes * k.H_CURRENT + c] * soc_per_ampere(p, w, y, m, c)
+    return y[m.lanes * k.Y_CURRENT + c] * soc_per_ampere(p, w, y, m, c)
 
 
 @inline
@@ -62,7 +62,7 @@ def schedule(p: Any, s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None
     if stale:
         for c in range(lanes):
             if y[W * k.Y_STALE + c] > zero:
-                cache_dynamics(p, s, o + c, m, y[W * k.Y_SOC + c], y[W * k.Y_T + c])
+                cache_dynamics(p, s, o + c, m, y[W * k.Y_SOC + c], y[W * k.Y_T + c], w[W * k.H_RESISTANCE + c])
     for c in range(lanes):
         d = clamp(y[W * k.Y_SOC + c] * intervals, zero, intervals) - s[o + W * (m.cache + k.C_KNOT) + c]
         for channel in range(m.channels):
@@ -80,7 +80,8 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
         for j in range(m.n_rc):
             y[W * (k.Y_FALL + j) + c] = known / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
         if m.hysteresis:
-            y[W * (k.Y_FALL + m.n_rc) + c] = p[k.P_HYSTERESIS_RATE] * abs(w[W * k.H_CURRENT + c]) * known
+            rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
+            y[W * (k.Y_FALL + m.n_rc) + c] = rate * abs(y[W * k.Y_CURRENT + c]) * known
         if m.core:
             y[W * (k.Y_FALL + m.n_v) + c] = dt / p[k.P_CORE_TAU]
     one_minus_exp(w, y, m, k.Y_FALL, m.n_v + m.core, lanes)
@@ -89,7 +90,8 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
         for j in range(m.n_rc):
             y[W * (k.Y_FADE + j) + c] = gap / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
         if m.hysteresis:
-            y[W * (k.Y_FADE + m.n_rc) + c] = p[k.P_HYSTERESIS_RATE] * p[k.P_CURRENT_RANGE] * gap
+            rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
+            y[W * (k.Y_FADE + m.n_rc) + c] = rate * p[k.P_CURRENT_RANGE] * gap
     if gaps:
         one_minus_exp(w, y, m, k.Y_FADE, m.n_v, lanes)
 
@@ -119,7 +121,7 @@ def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     zero, one = real(p, 0), real(p, 1)
     for c in range(lanes):
         unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
-        i = w[W * k.H_CURRENT + c]
+        i = y[W * k.Y_CURRENT + c]
         i = p[k.P_CURRENT_RANGE] if unknown else i
         r0_discharge, r0_charge = y[W * (k.Y_DYN + k.D_R0) + c], y[W * (k.Y_DYN + k.D_R0_CHARGE) + c]
         r0 = r0_charge if i < zero else r0_discharge
@@ -173,6 +175,7 @@ def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
             lost[m.n - 1] = bias_lost
             g[m.n - 1] = gain[m.n - 1] = real(p, 0)
             q[m.n - 1] = noise_root(p, bias_lost, p[k.P_BIAS_SIGMA] * p[k.P_BIAS_SIGMA])
+            share(p, w, m, c, bias_lost)
         if m.core:
             warm_core(p, w, y, m, c, dt)
         predict(w, c, m, lost, g, gain, q)
@@ -181,10 +184,20 @@ def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
 
 
 @inline
+def share(p: Any, w: Any, m: Any, c: int, lost: Any) -> None:
+    """What the cells know of the offset in common grows old as the bias does."""
+    W = m.lanes
+    kept = real(p, 1) - lost
+    stationary = p[k.P_BIAS_SIGMA] * p[k.P_BIAS_SIGMA]
+    w[W * k.H_SHARED + c] *= kept
+    w[W * k.H_SHARED_VAR + c] = stationary + kept * kept * (w[W * k.H_SHARED_VAR + c] - stationary)
+
+
+@inline
 def soc_walk(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> Any:
     """Growth of SoC's variance in this step; keeps the account of the gap."""
     W = m.lanes
-    i = w[W * k.H_CURRENT + c]
+    i = y[W * k.Y_CURRENT + c]
     gap = y[W * k.Y_GAP + c]
     before = w[W * k.H_GAP_S + c]
     after = before + gap
@@ -192,7 +205,8 @@ def soc_walk(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> Any:
     # The current of a gap is one unknown number, not noise: its sigma grows with time, its variance with the square.
     doubted = p[k.P_CURRENT_RANGE] / p[k.P_CHARGE_COULOMB]
     unknown = doubted * doubted * gap * (after + before)
-    return dt * (p[k.P_SOC_WALK_OFFSET] + p[k.P_SOC_WALK_GAIN] * i * i) + unknown
+    times = w[W * k.H_PER_CAPACITY + c]
+    return times * times * (dt * (p[k.P_SOC_WALK_OFFSET] + p[k.P_SOC_WALK_GAIN] * i * i) + unknown)
 
 
 @inline
@@ -222,7 +236,7 @@ def relax_hysteresis(p: Any, w: Any, y: Any, m: Any, c: int, lost: Any, g: Any, 
     to_target = rise if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else rise - rise * faded
     lost[h] = rise + faded - rise * faded
     g[h] = real(p, 0)
-    gain[h] = to_target * (-largest if w[W * k.H_CURRENT + c] < real(p, 0) else largest)
+    gain[h] = to_target * (-largest if y[W * k.Y_CURRENT + c] < real(p, 0) else largest)
     anywhere = largest * largest / real(p, 3)
     error = y[W * (k.Y_DYN + k.D_ERROR) + c]
     stationary = error * error * p[k.P_VAR_V + m.n_rc] + (anywhere if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0))
@@ -233,7 +247,7 @@ def relax_hysteresis(p: Any, w: Any, y: Any, m: Any, c: int, lost: Any, g: Any, 
 def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, gain: Any, q: Any) -> None:
     """What the step does to the voltage of an RC pair."""
     W = m.lanes
-    i = w[W * k.H_CURRENT + c]
+    i = y[W * k.Y_CURRENT + c]
     r = y[W * (k.Y_DYN + k.D_RC1 + 2 * j) + c]
     rise = y[W * (k.Y_FALL + j) + c]
     faded = y[W * (k.Y_FADE + j) + c]
@@ -267,6 +281,6 @@ def warm_core(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> None:
     loss = y[W * k.Y_DROP + c]
     for j in range(m.n_v):
         loss += w[W * (m.x + k.V_RC1 + j) + c]
-    target = p[k.P_CORE_K_PER_W] * w[W * k.H_CURRENT + c] * loss * (y[W * k.Y_KNOWN + c] / dt)
+    target = p[k.P_CORE_K_PER_W] * y[W * k.Y_CURRENT + c] * loss * (y[W * k.Y_KNOWN + c] / dt)
     rise = w[W * k.H_CORE_RISE + c]
     w[W * k.H_CORE_RISE + c] = rise + y[W * (k.Y_FALL + m.n_v) + c] * (target - rise)

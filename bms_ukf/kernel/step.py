@@ -15,7 +15,7 @@ from bms_ukf.kernel import adapt, belief, bias, inputs, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
-from bms_ukf.kernel.memory import real
+from bms_ukf.kernel.memory import real, whole
 from bms_ukf.records import Fault, Status
 
 NUMERIC = float(Fault.NUMERIC)
@@ -67,7 +67,7 @@ def step(
 def predict(p: Any, s: Any, w: Any, y: Any, m: Any, dt: Any, current: Any, temperature: Any) -> int:
     """The time update alone, of one record: dt > 0 s under `current`, A, at `temperature`, degC. Returns fault bits."""
     load(s, 0, w, y, m, 1)
-    w[k.H_CURRENT], w[k.H_TEMPERATURE] = current, temperature
+    w[k.H_CURRENT], w[k.H_TEMPERATURE], y[k.Y_CURRENT] = current, temperature, current
     w[k.H_CURRENT_AGE] = w[k.H_TEMPERATURE_AGE] = w[k.H_GAP_S] = y[k.Y_GAP] = y[k.Y_CODE] = real(p, 0)
     w[k.H_VOLTAGE_AGE] += dt
     y[k.Y_KNOWN] = dt
@@ -120,6 +120,9 @@ def load(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
         w[place] = s[o + place]
     for c in range(lanes):
         y[W * k.Y_ALIVE + c] = real(w, 1) if _finite(w, y, m, c) else real(w, 0)
+        per_capacity, resistance = w[W * k.H_PER_CAPACITY + c], w[W * k.H_RESISTANCE + c]
+        w[W * k.H_PER_CAPACITY + c] = per_capacity if is_number(per_capacity) else real(w, 1)
+        w[W * k.H_RESISTANCE + c] = resistance if is_number(resistance) else real(w, 1)
 
 
 @inline
@@ -218,21 +221,24 @@ def commit(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> int:
         s[o + place] = w[place]
     faults, seen = 0, 0
     for c in range(lanes):
-        code = int(y[W * k.Y_CODE + c])
+        code = whole(y[W * k.Y_CODE + c])
         faults |= code & FAULT_MASK
-        seen |= 1 << (code >> STATUS_SHIFT)
+        seen |= 1 << (code >> STATUS_SHIFT & 3)  # of 4: a shift by any number of 64 bits is a call on 32-bit machines
     return faults | seen << STATUS_SHIFT
 
 
 @inline
 def together(codes: int) -> int:
-    """Faults and one status of all cells, from faults and the set of their statuses."""
+    """Faults and one status of all cells, from faults and the set of their statuses.
+
+    Cells that are not OK leave the pack degraded: what is known of the others is worth showing.
+    """
     seen = codes >> STATUS_SHIFT
-    status = OK
+    status = DEGRADED
     if seen & 1 << INITIALISING:
         status = INITIALISING
-    elif seen & 1 << INVALID:
+    elif seen == 1 << INVALID:
         status = INVALID
-    elif seen & 1 << DEGRADED:
-        status = DEGRADED
+    elif seen == 1 << OK:
+        status = OK
     return codes & FAULT_MASK | status << STATUS_SHIFT

@@ -7,10 +7,10 @@ from typing import Any
 
 from bms_ukf.kernel import bias
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.belief import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import between_rows, clamp, is_number, ocv_cubic, ocv_interval
 from bms_ukf.kernel.jit import inline
-from bms_ukf.kernel.memory import real
+from bms_ukf.kernel.memory import real, whole
 from bms_ukf.kernel.process import TINY_ROOT
 from bms_ukf.kernel.srukf import innovate, update
 from bms_ukf.kernel.wide import update_wide
@@ -45,7 +45,7 @@ def look_up(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         y[W * (k.Y_OCV_D + 2) + c] = d
     for point in range(3):
         for c in range(lanes):
-            here = int(y[W * (k.Y_OCV_AT + point) + c])
+            here = whole(y[W * (k.Y_OCV_AT + point) + c])
             d, f = y[W * (k.Y_OCV_D + point) + c], y[W * k.Y_OCV_F + c]
             y[W * (k.Y_OCV_D + point) + c] = ocv_cubic(p, here, d, f)
 

@@ -11,7 +11,9 @@ from bms_ukf.loads.segments import Limits, Quantity
 from bms_ukf.loads.series import Array
 
 _PROBE = 0.01  # of the voltage: the first change where no resistance is known yet
-_TELLING = 0.25  # of the current: a smaller change of it says more about the state of charge than about the resistance
+# Of the current: what a smaller change of it does to the voltage is mostly the work of time. Where a voltage is held it
+# may raise the resistance all the same, as one taken too small makes it oscillate: a change not even heard is nothing.
+_TELLING, _HEARD = 0.25, 0.01
 
 
 class Terminal:
@@ -25,6 +27,7 @@ class Terminal:
     def __init__(self, plant_input: Quantity) -> None:
         self._plant_input = plant_input
         self._asked = 0.0
+        self._holding = False
         self.cells = 1
         self.low_V = self.high_V = self.voltage_V = math.nan  # of the lowest cell, of the highest, of all in series
         self.low_soc = self.high_soc = math.nan
@@ -41,11 +44,12 @@ class Terminal:
             current_A = self._current_asked_for(voltage_sum_V)
         self.voltage_V = voltage_sum_V
         self.current_A = current_A
-        change_A = current_A - before_A
-        if change_A and abs(change_A) >= _TELLING * max(abs(current_A), abs(before_A)):
-            slope_ohm = (before_V - self.voltage_V) / change_A
-            if slope_ohm > 0:  # false for the first answer, which has none before it
+        change_A, largest_A = current_A - before_A, max(abs(current_A), abs(before_A))
+        if change_A and abs(change_A) >= (_HEARD if self._holding else _TELLING) * largest_A:
+            slope_ohm = (before_V - self.voltage_V) / change_A  # NaN at the first answer, which has none before it
+            if slope_ohm > (0.0 if abs(change_A) >= _TELLING * largest_A else self.resistance_ohm):
                 self.resistance_ohm = slope_ohm
+        self._holding = False
 
     def reached(self, limits: Limits) -> bool:
         """Whether one of the limits has been passed. Raises ConfigError for a SoC limit, if the plant gives no SoC."""
@@ -66,6 +70,7 @@ class Terminal:
 
     def holding(self, cell_V: float, highest: bool) -> float:
         """The current that brings the highest (else the lowest) cell to `cell_V`; infinite while R is not known."""
+        self._holding = True
         excess_V = (self.high_V if highest else self.low_V) - cell_V
         if not self.resistance_ohm:
             return math.copysign(math.inf, excess_V) if excess_V else 0.0

@@ -55,6 +55,7 @@ COUNTS = {
     "FramesNotSent": "not sent",
     "ClockSteps": "clock steps",
     "Reopened": "reopenings of the bus",
+    "Contradictions": "currents through open contactors",
 }
 STATES = {Protection.OK: "green", Protection.NONE: "dim", Protection.STANDS_STILL: "yellow"}
 

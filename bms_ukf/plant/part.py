@@ -20,7 +20,8 @@ class Part:
     """An FMU: described when made, its variables picked by `use_input` and `use_output`, and then opened.
 
     Once open, `inputs` holds the values for the next step and `outputs` those after the last one, in the FMU's units;
-    `places` tells where a variable's elements are in them. Raises ConfigError for an FMU that cannot be used.
+    `input_places` and `output_places` tell where a variable's elements are in them. Raises ConfigError for an FMU that
+    cannot be used.
     """
 
     def __init__(self, table: PartTable, path: Path, folder: Path, *, validate: bool) -> None:
@@ -99,7 +100,6 @@ class Part:
 
     def start(self, *, deadline_s: float, memory_limit_MB: float) -> None:
         """Starts the FMU at t = 0 with the `inputs` as they are. ConfigError, PlantError: see FmuProcess."""
-        self._plan["input_start"] = self.inputs
         limits = {"deadline_s": deadline_s, "memory_limit_MB": memory_limit_MB}
         self._process = FmuProcess(str(self.path), self._plan, self._folder, **limits)
         self._fixed_ns = self._internal_step_ns()

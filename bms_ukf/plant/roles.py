@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -151,10 +152,11 @@ class _Wiring:
         if entry == "":
             return []
         if entry is None:
-            having = [(p, v) for p in self._parts for v in p.description.modelVariables if v.name == role]
+            own = re.compile(rf"{role}(\[\d+\])?")  # one, or one for each cell
+            having = [(p, v) for p in self._parts for v in p.description.modelVariables if own.fullmatch(v.name)]
             having = [pair for pair in having if ROLES[role].expected or pair[1].causality in ("input", "output")]
             if having or not ROLES[role].expected or len(self._parts) > 1:
-                return having[:1]
+                return [pair for pair in having if pair[0] is having[0][0]]
             if role == "voltage_V" and self._table.variables.get("supply_V"):
                 return []
         names = entry.name if isinstance(entry, VariableTable) else role if entry is None else entry

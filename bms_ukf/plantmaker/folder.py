@@ -75,7 +75,7 @@ sources = ["plant.c", "cell.c", "rkc.c"]
 headers = ["state.h", "cell.h", "rkc.h"]
 
 [units]
-A = {{ kg = 0, A = 1 }}
+A = {{ A = 1 }}
 V = {{ kg = 1, m = 2, s = -3, A = -1 }}
 ohm = {{ kg = 1, m = 2, s = -3, A = -2 }}
 degC = {{ K = 1, offset = 273.15 }}

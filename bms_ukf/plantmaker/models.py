@@ -20,6 +20,7 @@ except ModuleNotFoundError as error:
 
 ELECTRODE_POINTS, SEPARATOR_POINTS, PARTICLE_POINTS, PARTICLE_STRETCH = 10, 4, 20, 3.0
 INPUTS = ["Current function [A]", "Ambient temperature [K]", "soc_initial"]
+SOC_MARGIN = 1e-6  # lets a Thevenin start full or empty
 # Charge counters that nothing in the models depends on.
 COUNTERS = ["Discharge capacity [A.h]", "Throughput capacity [A.h]"]
 
@@ -169,5 +170,4 @@ def _thevenin(model: str, values: Any, parameter_set: str, thermal: str, options
     )
 
 
-SOC_MARGIN = 1e-6  # lets a Thevenin start full or empty
 MODELS: dict[str, Callable[..., Cell]] = {"SPM": _particle, "SPMe": _particle, "Thevenin": _thevenin}

@@ -12,38 +12,42 @@ summary has the keys of `rerun`, with `steps_per_s` of the samples taken, and
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import can
 import numpy as np
 
-from bms_ukf.bus import SafeBus
 from bms_ukf.cell import CellParams
 from bms_ukf.config import Setup
-from bms_ukf.daemon import Daemon
+from bms_ukf.core import Core
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
 from bms_ukf.records import NAN, Detail, Estimate, Sample
-from bms_ukf.replay.logs import LogBus, LogClock, frames
+from bms_ukf.replay.logs import LogClock, frames
 from bms_ukf.replay.rows import Rows
 from bms_ukf.trace import Trace
+
+LEAST_NS = 1_000_000  # a wait of no time would never end
 
 
 def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Trace, dict[str, Any]]:
     """Every set that would have been published, and the summary. `cell` takes the place of the configuration's."""
     setup = Setup.load(config, cell)
-    clock, ended, told = LogClock(), threading.Event(), _Published()
-    log = frames(path, setup.decoder.ids())
-    bus = SafeBus(lambda: cast(can.BusABC, LogBus(log, clock, ended)))
     estimator = Estimator(setup.cell, setup.config.cells, setup.config.estimator)
-    daemon = Daemon(bus, estimator, setup.intake(), clock=clock, pace=setup.pace, fd=setup.config.bus.fd)
-    daemon.witness = told
+    core, clock, told = Core(estimator, setup.intake(), setup.pace), LogClock(), _Published()
+    core.witness = told
     begin_s = time.perf_counter()
-    daemon.run(ended)
+    log = frames(path, setup.decoder.ids(), fd=setup.config.bus.fd)
+    for stamp_s, arbitration_id, is_extended_id, data, classic in log:
+        while (silence_ns := clock.due(stamp_s) - clock.now()) > LEAST_NS:
+            patience_ns = max(core.patience_ns(clock.now()), LEAST_NS)
+            if silence_ns <= patience_ns:
+                break
+            clock.wait(patience_ns)
+            core.idle(clock.now())
+        core.hear(arbitration_id, is_extended_id, data, clock.at(stamp_s), classic=classic)
     took_s = time.perf_counter() - begin_s
     if not told.samples:
         expected = (

@@ -1,10 +1,11 @@
-"""CAN logs as a bus: every frame is received at the time it is stamped with, and what is sent goes nowhere."""
+"""CAN logs as what was received, and the time they were received at."""
 
 from __future__ import annotations
 
+import re
 import struct
-import threading
-from collections.abc import Collection, Iterable, Iterator
+from binascii import unhexlify
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import can
@@ -12,57 +13,73 @@ import can
 from bms_ukf.clock import TOLERANCE_NS
 from bms_ukf.errors import ConfigError
 
+Heard = tuple[float, int, bool, bytes, bool]  # stamp in s, then as the arguments of `Core.hear`
 
-def frames(path: Path, ids: Collection[tuple[int, bool]]) -> Iterator[can.Message]:
+_CHUNK_BYTES = 1 << 22
+
+
+def frames(path: Path, ids: Collection[tuple[int, bool]], *, fd: bool = False) -> Iterator[Heard]:
     """The frames of a log with these ids, each with whether it is an extended one, in the order of the file.
 
-    ConfigError if it is no such log. A last line that was cut off ends it.
+    `fd`: CAN FD frames are to be read. ConfigError if it is no such log. A last line that was cut off ends it.
     """
-    wanted = frozenset(ids)
     if path.suffix.lower() == ".log":
-        yield from _candump(path, wanted)
+        yield from _candump(path, ids, fd)
         return
+    wanted = frozenset(ids)
     try:
         with can.LogReader(path) as reader:
             for message in reader:
-                if (message.arbitration_id, message.is_extended_id) in wanted:
-                    yield message
+                identity = message.arbitration_id, message.is_extended_id
+                if identity in wanted:
+                    classic = not (message.is_remote_frame or message.is_error_frame or (message.is_fd and not fd))
+                    yield message.timestamp, *identity, bytes(message.data), classic
     except (ImportError, NotImplementedError):
         raise ConfigError(path, expected="asammdf, which reads .mf4 (pip install 'bms-ukf[mf4]')") from None
     except (OSError, ValueError, IndexError, KeyError, AssertionError, struct.error, can.CanError) as error:
         raise ConfigError(path, expected=f"a CAN log in the format its name says ({error or type(error)})") from None
 
 
-def _candump(path: Path, wanted: frozenset[tuple[int, bool]]) -> Iterator[can.Message]:
-    """`candump -L`: what python-can reads at a tenth of the speed, as it makes a message of every line."""
-    known: dict[str, tuple[int, bool] | None] = {}
+def _candump(path: Path, ids: Collection[tuple[int, bool]], fd: bool) -> Iterator[Heard]:
+    """`candump -L`, of which one search finds the frames that are wanted: python-can makes a message of every line."""
+    known = {(b"%08X" if wide else b"%03X") % number: (number, wide) for number, wide in ids}
+    search = re.compile(rb" (" + b"|".join(known) + rb")#(\S*)", re.IGNORECASE).finditer
+    lines = 0
     try:
-        with path.open(encoding="ascii") as file:
-            for number, line in enumerate(file, 1):
-                try:
-                    stamp, _, frame = line.split()[:3]
-                    name, _, data = frame.partition("#")
-                    if name not in known:
-                        identity = (int(name, 16), len(name) > 3)
-                        known[name] = identity if identity in wanted else None
-                    found = known[name]
-                    if found is not None:
-                        yield _message(float(stamp[1:-1]), *found, data)
-                except ValueError:
-                    if not line.endswith("\n"):
-                        return
-                    expected = "a line of candump -L: (seconds.microseconds) channel id#data"
-                    raise ConfigError(path, key=f"line {number}", value=line.strip(), expected=expected) from None
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            while text := file.read(_CHUNK_BYTES) + file.readline():
+                text = text[: text.rfind(b"\n") + 1]
+                if not text:
+                    return
+                if not (text.startswith(b"(") and text.count(b"\n(") == text.count(b"\n") - 1):
+                    line = next((k for k, line in enumerate(text.splitlines()) if not line.startswith(b"(")), 0)
+                    raise _no_candump(path, lines, text, line)
+                for found in search(text):
+                    name, data = found.groups()
+                    begin = text.rfind(b"\n", 0, found.start()) + 2  # after the line's end and the bracket
+                    try:
+                        stamp_s = float(text[begin : text.index(b")", begin)])
+                        payload, classic = _special(data, fd) if data[:1] in b"#R" else (unhexlify(data), True)
+                    except ValueError:
+                        raise _no_candump(path, lines, text, text.count(b"\n", 0, begin)) from None
+                    yield stamp_s, *known[name.upper()], payload, classic
+                lines += text.count(b"\n")
+    except OSError as error:
         raise ConfigError(path, expected=f"a readable candump log ({error})") from None
 
 
-def _message(stamp_s: float, identifier: int, extended: bool, text: str) -> can.Message:
-    if text.startswith("#"):
-        return can.Message(stamp_s, identifier, extended, is_fd=True, data=bytes.fromhex(text[2:]))
-    if text.startswith("R"):
-        return can.Message(stamp_s, identifier, extended, is_remote_frame=True)
-    return can.Message(stamp_s, identifier, extended, data=bytes.fromhex(text))
+def _special(data: bytes, fd: bool) -> tuple[bytes, bool]:
+    """Payload of what is no classic frame with data, and whether it is read all the same."""
+    if data.startswith(b"#"):
+        return unhexlify(data[2:]), fd
+    return b"", not data
+
+
+def _no_candump(path: Path, lines: int, text: bytes, line: int) -> ConfigError:
+    """For line `line` of `text`, which follows `lines` others."""
+    value = text.splitlines()[line].decode("ascii", "replace").strip()
+    expected = "a line of candump -L: (seconds.microseconds) channel id#data"
+    return ConfigError(path, key=f"line {lines + line + 1}", value=value, expected=expected)
 
 
 class LogClock:
@@ -70,57 +87,32 @@ class LogClock:
 
     def __init__(self) -> None:
         self.steps = 0
-        self._stamp_ns: int | None = None
+        self._begin_ns: int | None = None  # the stamp of time 0
         self._t_ns = 0
 
     def due(self, stamp_s: float) -> int:
         """When a frame stamped `stamp_s` is received; it moves nothing."""
-        if self._stamp_ns is None:
-            return self._t_ns
-        return self._t_ns + max(round(stamp_s * 1e9) - self._stamp_ns, 0)
+        t_ns = self._t_ns
+        due_ns = t_ns if self._begin_ns is None else round(stamp_s * 1e9) - self._begin_ns
+        return due_ns if due_ns > t_ns else t_ns
 
     def at(self, stamp_s: float) -> int:
         stamp_ns = round(stamp_s * 1e9)
-        if self._stamp_ns is not None and stamp_ns < self._stamp_ns - TOLERANCE_NS:
+        if self._begin_ns is None:
+            self._begin_ns = stamp_ns - self._t_ns
+        t_ns = stamp_ns - self._begin_ns
+        if t_ns > self._t_ns:
+            self._t_ns = t_ns
+        elif t_ns < self._t_ns - TOLERANCE_NS:
             self.steps += 1
-            self._stamp_ns = stamp_ns
-        self._t_ns = self.due(stamp_s)
-        self._stamp_ns = stamp_ns if self._stamp_ns is None else max(self._stamp_ns, stamp_ns)
+            self._begin_ns = stamp_ns - self._t_ns
         return self._t_ns
 
     def wait(self, waited_ns: int) -> None:
         self._t_ns += waited_ns
-        if self._stamp_ns is not None:
-            self._stamp_ns += waited_ns
 
     def now(self) -> int:
         return self._t_ns
 
     def advance(self) -> int:
         return self._t_ns
-
-
-class LogBus:
-    """A bus on which a log is heard, by `clock`; sets `ended` once it is over."""
-
-    def __init__(self, log: Iterable[can.Message], clock: LogClock, ended: threading.Event) -> None:
-        self._frames, self._clock, self._ended = iter(log), clock, ended
-        self._next = next(self._frames, None)
-
-    def recv(self, timeout: float) -> can.Message | None:
-        message = self._next
-        if message is None:
-            self._ended.set()
-            return None
-        timeout_ns = max(round(timeout * 1e9), 1_000_000)  # a wait of no time would never end
-        if self._clock.due(message.timestamp) - self._clock.now() > timeout_ns:
-            self._clock.wait(timeout_ns)
-            return None
-        self._next = next(self._frames, None)
-        return message
-
-    def send(self, message: can.Message) -> None:
-        """Nobody is there."""
-
-    def shutdown(self) -> None:
-        """Nothing to close."""

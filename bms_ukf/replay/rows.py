@@ -2,51 +2,74 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+import math
+from array import array
 
 import numpy as np
 
 from bms_ukf.records import NAN, Estimate, PerCell, Sample
 from bms_ukf.trace import Trace
 
+COLUMNS = (
+    "current_A",
+    "voltage_V",
+    "temperature_degC",
+    "soc",
+    "soc_sigma",
+    "status",
+    "faults",
+    "current_bias_A",
+    "voltage_pred_V",
+    "innovation_V",
+    "nis",
+    "r0_ohm",
+)
+
 
 class Rows:
     """What was measured last, and what was estimated. Of a pack mean SoC, largest sigma and NIS."""
 
     def __init__(self) -> None:
-        self._t_ns: list[int] = []
-        self._columns: dict[str, list[float]] = defaultdict(list)
-        self._measured = {"current_A": NAN, "voltage_V": NAN, "temperature_degC": NAN}
+        self._values, self._t_ns = array("d"), array("q")
+        self._current_A = self._voltage_V = self._temperature_degC = NAN
 
     def measured(self, sample: Sample) -> None:
         """Take note of what this one carries."""
-        for name in self._measured:
-            value = _mean(getattr(sample, name))
-            if value == value:  # noqa: PLR0124 - not NaN
-                self._measured[name] = value
+        current_A, voltage_V = sample.current_A, _mean(sample.voltage_V)
+        temperature_degC = _mean(sample.temperature_degC)
+        if not math.isnan(current_A):
+            self._current_A = current_A
+        if not math.isnan(voltage_V):
+            self._voltage_V = voltage_V
+        if not math.isnan(temperature_degC):
+            self._temperature_degC = temperature_degC
 
     def add(self, t_ns: int, estimate: Estimate) -> None:
         """A row."""
-        worst = 0 if isinstance(estimate.nis, float) else int(np.argmax(np.nan_to_num(estimate.nis, nan=-1.0)))
-        row = self._measured | {
-            "soc": _mean(estimate.soc),
-            "soc_sigma": float(np.max(estimate.soc_sigma)),
-            "status": int(estimate.status),
-            "faults": int(estimate.faults),
-            "current_bias_A": _mean(estimate.current_bias_A),
-        }
-        for name in ("voltage_pred_V", "innovation_V", "nis", "r0_ohm"):
-            values = getattr(estimate, name)
-            row[name] = values if isinstance(values, float) else float(values[worst])
+        nis, sigma = estimate.nis, estimate.soc_sigma
+        worst = 0 if isinstance(nis, float) else int(np.argmax(np.nan_to_num(nis, nan=-1.0)))
         self._t_ns.append(t_ns)
-        for name, value in row.items():
-            self._columns[name].append(value)
+        self._values.extend(
+            (
+                self._current_A,
+                self._voltage_V,
+                self._temperature_degC,
+                _mean(estimate.soc),
+                sigma if isinstance(sigma, float) else float(np.max(sigma)),
+                int(estimate.status),
+                int(estimate.faults),
+                _mean(estimate.current_bias_A),
+                _of_cell(worst, estimate.voltage_pred_V),
+                _of_cell(worst, estimate.innovation_V),
+                _of_cell(worst, nis),
+                _of_cell(worst, estimate.r0_ohm),
+            )
+        )
 
     def trace(self) -> Trace:
         """All rows."""
-        columns = {name: np.asarray(values) for name, values in self._columns.items()}
-        none = np.empty(0)
-        return Trace.of(np.array(self._t_ns, np.int64), {"status": none, "faults": none} | columns)
+        columns = np.array(self._values).reshape(-1, len(COLUMNS)).T
+        return Trace.of(np.array(self._t_ns), dict(zip(COLUMNS, columns, strict=True)))
 
 
 def _mean(values: PerCell) -> float:
@@ -54,3 +77,7 @@ def _mean(values: PerCell) -> float:
         return values
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else NAN
+
+
+def _of_cell(k: int, values: PerCell) -> float:
+    return values if isinstance(values, float) else float(values[k])

@@ -72,7 +72,7 @@ def test_what_overflows_in_c_is_refused_whole(hysteresis: bool, bits: int) -> No
     estimator.step(Sample(0, 1.0, 3.6, 25.0))
     single.step(0.0, 1.0, 3.6, 25.0)
     n = 3 + hysteresis
-    in_c, results = 14 + n + n + 1, -4  # sqrt_P[1, 1]; what was held comes first, and the results last
+    in_c, results = 19 + n + n + 1, -4  # sqrt_P[1, 1]; what was held comes first, and the results last
     root = estimator._state[0, estimator._form.root + 2]
     assert root[0] == pytest.approx(single.cell[in_c], rel=1e-5)
     root[0] = single.cell[in_c] = 1e200 if bits == 64 else 1e30

@@ -53,6 +53,7 @@ def main() -> int:
         else:
             return not_run(why_not_native, why_no_guest)
         ran, skipped = count(junit)
+        say("\n".join(f"{name}: {value}" for name, value in measured(junit)))
     announce(f"{ran} tests ran over real vcan0 ({where}), {skipped} skipped, pytest exit code {code}")
     return code or int(ran == 0)
 
@@ -61,7 +62,15 @@ def select(work: Path, name: str, tests: list[str]) -> tuple[list[str], Path]:
     """The command that runs these tests, and where it leaves its result."""
     junit = work / f"{name}.xml"
     colour = "yes" if sys.stdout.isatty() else "no"
-    return [*PYTEST, *tests, f"--junitxml={junit}", f"--basetemp={work / name}", f"--color={colour}"], junit
+    # xunit1 has the properties that tests record
+    return [
+        *PYTEST,
+        *tests,
+        f"--junitxml={junit}",
+        "--override-ini=junit_family=xunit1",
+        f"--basetemp={work / name}",
+        f"--color={colour}",
+    ], junit
 
 
 def namespace() -> list[str]:
@@ -160,6 +169,13 @@ def failed(junit: Path) -> list[str]:
         case for case in ET.parse(junit).getroot().iter("testcase") if {"failure", "error"} & {e.tag for e in case}
     ]
     return sorted({f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}" for case in cases})
+
+
+def measured(junit: Path) -> list[tuple[str, str]]:
+    """What the tests recorded as their properties."""
+    if not junit.exists():
+        return []
+    return [(str(p.get("name")), str(p.get("value"))) for p in ET.parse(junit).getroot().iter("property")]
 
 
 def count(junit: Path) -> tuple[int, int]:

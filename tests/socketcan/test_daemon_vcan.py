@@ -19,6 +19,7 @@ from daemon_process import PATIENCE_S, DaemonProcess
 from model_cell import ModelCell
 
 from bms_ukf import Estimate, Fault, Sample, Status, cli, cosim, toml
+from bms_ukf.bus import BACKOFF_S
 from bms_ukf.config import Bus
 from bms_ukf.node import EstimateDecoder, SampleEncoder
 from bms_ukf.scenario import Scenario
@@ -142,7 +143,7 @@ def test_soc_frames_answer_the_vehicles_and_tell_its_silence_as_candump_sees(vca
     assert held.refused == 6, "no receiver takes a repeated one for an answer"
 
 
-def test_the_daemon_outlives_its_interface_and_keeps_what_it_knew(vcan, daemon, vehicle):
+def test_the_daemon_outlives_its_interface_and_keeps_what_it_knew(vcan, daemon, vehicle, record_property):
     with vcan.bus() as bus:
         vehicle.drive(bus, 15)
     for times, (take, give_back) in enumerate([(vcan.down, vcan.up), (vcan.remove, vcan.create)], start=1):
@@ -150,8 +151,12 @@ def test_the_daemon_outlives_its_interface_and_keeps_what_it_knew(vcan, daemon, 
         daemon.wait_for("trying to open it again", times)
         time.sleep(1.0)
         assert daemon.alive()
+        given_back_s = time.monotonic()
         give_back()
         daemon.wait_for("open again", times)
+        recovery_s = time.monotonic() - given_back_s
+        record_property(f"recovery_s after {take.__name__}", round(recovery_s, 2))
+        assert recovery_s < BACKOFF_S[-1] + 4 * GUEST_SECOND_S
         with vcan.bus() as bus:
             vehicle.drive(bus, 25)
             told = read(heard(bus, 25)).estimates

@@ -201,33 +201,55 @@ INLINE real beyond_shape(real scale)
     return scale - clamp(scale - 1, -R(R0_SHAPE), R(R0_SHAPE));
 }
 
+/* Of the noise of a reading, what is there because it came soon after the one before. */
+INLINE real crowding(real age, real r) { return r * (1 - clamp(age, 0, R(VOLTAGE_ERROR_S)) / R(VOLTAGE_ERROR_S)); }
+
 /* From an innovation that has not moved the belief yet; `r`: the noise in its variance, `ohmic`: the drop by the cell
  * file's r0, NaN if the current is not of its moment, `r0`: as tracked. */
-INLINE void learn(const real *p, struct adapted *a, real innovation, real variance, real r, bool fused,
+INLINE void follow_r0(const real *p, struct adapted *a, real innovation, real variance, real r, bool fused, real since,
+                      real error, real ohmic, real r0)
+{
+    const real moved = innovation - a->residual;
+    const bool goes_on = (moved - moved == 0) & (since <= R(R0_STEP_S)), counts = ohmic == ohmic;
+    const real drift = goes_on ? a->drift + moved : 0, before = goes_on ? a->ohmic : R(NAN);
+    const real total = (goes_on ? a->block_drift : 0) + (counts ? drift : 0);
+    const real total_ohmic = (goes_on ? a->block_ohmic : 0) + (counts ? ohmic : 0);
+    const real count = (goes_on ? a->block_count : 0) + (counts ? 1 : 0), lasted = goes_on ? a->block_s + since : 0;
+    const bool whole = (lasted >= R(R0_BLOCK_S)) | (goes_on & (since >= R(R0_ALONE_S)));
+    const real mean = total / count, mean_ohmic = total_ohmic / count, change = mean_ohmic - before;
+
+    const bool due = fused & whole & (a->fresh == 0);
+    const real sigma = R(R0_SIGMA), var = a->r0_var + (sigma * sigma - a->r0_var) * lasted / R(R0_TAU_S);
+    const real white = 2 * a->voltage_scale * error * error * p[P_VAR_VOLTAGE], otherwise = R(R0_ELSE) * change;
+    const real gain = var * change / (var * change * change + white + otherwise * otherwise), step = gain * mean;
+    const bool told = due & (fabs(change) > r0 * p[P_EXCITED]) & (p[P_ADAPT] > 0) & (step - step == 0);
+    a->r0_var = due ? (told ? var - gain * change * var : var) : a->r0_var;
+    a->r0_scale = told ? clamp(a->r0_scale - step, R(R0_LEAST), R(R0_MOST)) : a->r0_scale;
+
+    a->residual = fused ? innovation * r / variance : a->residual;
+    a->drift = fused ? (whole & (mean == mean) ? drift - mean : drift) : a->drift;
+    a->ohmic = fused ? (whole ? mean_ohmic : before) : a->ohmic;
+    a->block_drift = fused ? (whole ? 0 : total) : a->block_drift;
+    a->block_ohmic = fused ? (whole ? 0 : total_ohmic) : a->block_ohmic;
+    a->block_count = fused ? (whole ? 0 : count) : a->block_count;
+    a->block_s = fused ? (whole ? 0 : lasted) : a->block_s;
+}
+
+INLINE void learn(const real *p, struct adapted *a, real innovation, real variance, real r, real crowded, bool fused,
                   real since_heard, real error, real ohmic, real r0)
 {
-    const real since = clamp(since_heard == since_heard ? since_heard : 0, 0, R(STEP_MAX_S));
-    const real nis = innovation * innovation / variance, scale = a->voltage_scale;
-    const bool heard = nis - nis == 0, compared = heard & (a->fresh == 0) & (p[P_ADAPT] > 0);
+    const real heard_s = since_heard == since_heard ? since_heard : 0, since = clamp(heard_s, 0, R(STEP_MAX_S));
+    const real nis = innovation * innovation / (variance - crowded), scale = a->voltage_scale;
+    const bool compared = (nis - nis == 0) & (a->fresh == 0) & (p[P_ADAPT] > 0);
     const real followed = scale + scale * (clamp(nis, 0, p[P_GATE2]) - 1) * since / R(SCALE_S);
-    const real moved = ohmic - a->ohmic, change = innovation - a->residual, tracked = a->r0_scale;
-    const real forgotten = heard ? since / R(R0_TAU_S) : 0, sigma = R(R0_SIGMA);
-    const real var = a->r0_var + (sigma * sigma - a->r0_var) * forgotten;
-    const real white = 2 * scale * error * error * p[P_VAR_VOLTAGE], otherwise = R(R0_ELSE) * moved;
-    const real gain = var * moved / (var * moved * moved + white + otherwise * otherwise), step = gain * change;
-    const bool told = compared & fused & (fabs(moved) > r0 * p[P_EXCITED]) & (since <= R(R0_STEP_S)) & (step - step == 0);
-    const real left = fused ? innovation * r / variance : R(NAN);
     a->voltage_scale = compared ? clamp(followed, 1, R(SCALE_MAX)) : scale;
-    a->r0_var = told ? var - gain * moved * var : var;
-    a->r0_scale = told ? clamp(tracked - step, R(R0_LEAST), R(R0_MOST)) : tracked;
-    a->residual = heard ? left : a->residual;
-    a->ohmic = heard ? ohmic : a->ohmic;
+    follow_r0(p, a, innovation, variance, r, fused, heard_s, error, ohmic, r0);
     a->fresh = fused ? 0 : a->fresh;
 }
 
 static void start_adapted(struct adapted *a)
 {
-    *a = (struct adapted){1, 1, R(R0_SIGMA) * R(R0_SIGMA), R(NAN), R(NAN), 1};
+    *a = (struct adapted){1, 1, R(R0_SIGMA) * R(R0_SIGMA), R(NAN), 0, 0, 0, 0, 0, 0, 1};
 }
 
 /* Carlson's update, from the last column to the first. */
@@ -375,7 +397,7 @@ static int fuse(const real *p, struct cell *c, real voltage, real T, real error,
     if (!isfinite(c->innovation + n.variance))
         return FAULT_NUMERIC;
     const bool accepted = c->innovation * c->innovation <= p[P_GATE2] * n.variance;
-    learn(p, &c->adapted, c->innovation, n.variance, r, accepted, since_heard, error, ohmic, r0);
+    learn(p, &c->adapted, c->innovation, n.variance, r, crowding(c->voltage_age, r), accepted, since_heard, error, ohmic, r0);
     if (!accepted) {
         if (isnan(c->rejected_s))
             c->rejected_s = 0;
@@ -524,7 +546,9 @@ INLINE void store(struct lanes *w, int c, const struct belief *b)
 
 INLINE struct adapted load_adapted(const struct lanes *w, int c)
 {
-    return (struct adapted){w->voltage_scale[c], w->r0_scale[c], w->r0_var[c], w->residual[c], w->ohmic[c], w->fresh[c]};
+    return (struct adapted){w->voltage_scale[c], w->r0_scale[c],    w->r0_var[c],      w->residual[c],
+                            w->drift[c],         w->ohmic[c],       w->block_drift[c], w->block_ohmic[c],
+                            w->block_count[c],   w->block_s[c],     w->fresh[c]};
 }
 
 INLINE void store_adapted(struct lanes *w, int c, const struct adapted *a)
@@ -533,7 +557,12 @@ INLINE void store_adapted(struct lanes *w, int c, const struct adapted *a)
     w->r0_scale[c] = a->r0_scale;
     w->r0_var[c] = a->r0_var;
     w->residual[c] = a->residual;
+    w->drift[c] = a->drift;
     w->ohmic[c] = a->ohmic;
+    w->block_drift[c] = a->block_drift;
+    w->block_ohmic[c] = a->block_ohmic;
+    w->block_count[c] = a->block_count;
+    w->block_s[c] = a->block_s;
     w->fresh[c] = a->fresh;
 }
 
@@ -546,7 +575,7 @@ struct work {
     real voltage[LANES], T[LANES], soc[LANES];
     real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
     real r0[LANES], ohmic[LANES], drop[LANES], drop_sigma[LANES], since_heard[LANES], g[3][LANES];
-    real predicted[LANES], innovation[LANES], variance[LANES], r[LANES];
+    real predicted[LANES], innovation[LANES], variance[LANES], r[LANES], crowded[LANES];
 };
 
 static void take_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y,
@@ -704,7 +733,8 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         const struct belief before = load(w, c);
         struct belief b = load(w, c);
         struct innovation n;
-        const real r = noise_of(p, w->voltage_age[c], y->dyn[D_ERROR][c], w->voltage_scale[c], y->drop_sigma[c]);
+        const real age = w->voltage_age[c];
+        const real r = noise_of(p, age, y->dyn[D_ERROR][c], w->voltage_scale[c], y->drop_sigma[c]);
         const real g[3] = {y->g[0][c], y->g[1][c], y->g[2][c]}, rejected_s = w->rejected_s[c];
         innovate(p, &b, g, y->drop[c], r, &n);
         const real innovation = y->voltage[c] - n.predicted;
@@ -728,6 +758,7 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         y->innovation[c] = compared ? innovation : R(NAN);
         y->variance[c] = compared ? n.variance : R(NAN);
         y->r[c] = r;
+        y->crowded[c] = crowding(age, r);
         y->fused[c] = fused ? 1 : 0;
     }
 }
@@ -736,8 +767,8 @@ static void learn_lanes(const real *restrict p, struct lanes *restrict w, const 
 {
     EACH_LANE {
         struct adapted a = load_adapted(w, c);
-        learn(p, &a, y->innovation[c], y->variance[c], y->r[c], y->fused[c] != 0, y->since_heard[c],
-              y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
+        learn(p, &a, y->innovation[c], y->variance[c], y->r[c], y->crowded[c], y->fused[c] != 0,
+              y->since_heard[c], y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
         store_adapted(w, c, &a);
     }
 }

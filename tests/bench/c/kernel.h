@@ -40,7 +40,9 @@ struct belief {
 /* What the innovations tell of the model. */
 struct adapted {
     real voltage_scale, r0_scale, r0_var;
-    real residual, ohmic; /* of the last voltage: what was left of its innovation (NaN: refused); its ohmic drop */
+    real residual;     /* what the last voltage fused left of its innovation; NaN: there was none */
+    real drift, ohmic; /* of the prediction's error, from the last whole block on; the mean ohmic drop of that block */
+    real block_drift, block_ohmic, block_count, block_s; /* sums over the present one */
     real fresh;           /* 1: no voltage has been fused yet */
 };
 
@@ -57,7 +59,8 @@ struct cell {
 struct lanes {
     real temperature[LANES], temperature_age[LANES];
     real voltage_age[LANES], heard_age[LANES], rejected_s[LANES], gap_s[LANES];
-    real voltage_scale[LANES], r0_scale[LANES], r0_var[LANES], residual[LANES], ohmic[LANES], fresh[LANES];
+    real voltage_scale[LANES], r0_scale[LANES], r0_var[LANES], residual[LANES], fresh[LANES];
+    real drift[LANES], ohmic[LANES], block_drift[LANES], block_ohmic[LANES], block_count[LANES], block_s[LANES];
     real x[N][LANES], root[ROOTS][LANES], carry[N][LANES];
 };
 

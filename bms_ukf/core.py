@@ -1,0 +1,160 @@
+"""The daemon without its bus and its clock: received frames in, sets to be published out, in the time of the frames.
+
+    intake.take -> Sample -> Estimator.step -> Estimate -> publication.complete -> a set
+
+`daemon.Daemon` has it on a bus, a replay drives it with the frames of a log: what the two say cannot differ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from bms_ukf.commissioning import Commissioning
+from bms_ukf.estimator import Estimator
+from bms_ukf.intake import Intake
+from bms_ukf.pace import Pace
+from bms_ukf.publication import Publication
+from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored
+from bms_ukf.scan import Scan
+
+FAULT_HOLD_NS = 1_000_000_000
+PATIENCE_NS = 100_000_000  # between two looks at what is due: how long a request to stop may wait
+_IMPLAUSIBLE = int(Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE)
+
+
+class Witness(Protocol):
+    """Who is told of all that happens, as it happens. What it is given is overwritten later."""
+
+    def stepped(self, sample: Sample, estimate: Estimate) -> None: ...
+
+    def coasted(self, t_ns: int, estimate: Estimate) -> None: ...
+
+    def published(self, t_ns: int, estimate: Estimate, detail: Detail) -> None: ...
+
+
+class Core:
+    """One estimator, its way in, and what is to be published of it. Nobody hears that but `witness`."""
+
+    def __init__(self, estimator: Estimator, intake: Intake, pace: Pace) -> None:
+        self.estimator = estimator
+        self.publication = Publication(estimator.cell.cell.capacity_Ah)
+        self.commissioning = Commissioning(estimator.cell)
+        self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
+        self.published = 0  # sets of frames
+        self.witness: Witness | None = None
+        self._scan = Scan(estimator.cells)
+        self._published_ns = 0
+        self._stepped = False  # since the last set
+        self._adopt(intake, pace)
+
+    def resumed(self, stored: Stored) -> None:
+        """Tell on the bus what became of a belief that was stored, now that the estimator has it or not."""
+        self.publication.detail.stored = stored
+        if stored is Stored.USED:
+            self.publication.detail.source = Source.STORED
+
+    def hear(self, arbitration_id: int, is_extended_id: bool, data: bytes, t_ns: int, *, classic: bool = True) -> None:
+        """Handle a frame received at `t_ns`, as of `Inbox.decode`; a complete scan is answered by publishing."""
+        samples = self.intake.take(arbitration_id, is_extended_id, data, t_ns, classic=classic)
+        if samples:
+            self._handle(samples)
+        self.idle(t_ns)
+
+    def idle(self, t_ns: int) -> None:
+        """Publish every period, or a prediction after too long a silence: it must not look like a steady SoC."""
+        if self._due_after_ns is None or t_ns - self._published_ns < self._due_after_ns:
+            return
+        self._handle(self.intake.due(t_ns))
+        if not (self._periodic and self._stepped):
+            self._coast(t_ns - self.intake.behind_ns)
+        self._publish(t_ns)
+
+    def patience_ns(self, now_ns: int) -> int:
+        """How long to wait for a frame before `idle` is due."""
+        if not self._periodic or self._due_after_ns is None:
+            return PATIENCE_NS
+        left_ns = self._published_ns + self._due_after_ns - now_ns
+        return PATIENCE_NS if left_ns > PATIENCE_NS else left_ns if left_ns > 0 else 0
+
+    def _adopt(self, intake: Intake, pace: Pace) -> None:
+        self.intake = intake
+        self.publication.slew_per_s = pace.soc_slew_per_s
+        self._periodic = pace.period_s is not None
+        due_after_s = pace.silence_s if pace.period_s is None else pace.period_s
+        self._due_after_ns = round(1e9 * due_after_s) if due_after_s < math.inf else None
+        self._refused = _Recent(Fault.E2E, intake.counters.refused)
+        self._failed = _Recent(Fault.BUS, self._failures() + intake.counters.lost)
+
+    def _failures(self) -> int:
+        """How often the bus has failed."""
+        return 0
+
+    def _send(self, t_ns: int, detail: Detail) -> None:
+        """Send the set that `estimate` and `detail` are."""
+
+    def _handle(self, samples: Sequence[Sample]) -> None:
+        estimate, witness = self.estimate, self.witness
+        for sample in samples:
+            if _is_empty(sample):  # its sender lives, and knows nothing: no reason to look alive
+                self._coast(sample.t_ns)
+                self.publication.follow(sample, estimate)
+                continue
+            self.estimator.step(sample, out=estimate)
+            if witness is not None:
+                witness.stepped(sample, estimate)
+            self.publication.follow(sample, estimate)
+            if not int(estimate.faults) & _IMPLAUSIBLE:
+                self.commissioning.see(sample)
+            self._stepped = True
+            if self._scan.ends_with(sample) and not self._periodic:
+                self._publish(sample.t_ns + self.intake.behind_ns)
+
+    def _coast(self, t_ns: int) -> None:
+        self.estimator.coast(t_ns, out=self.estimate)
+        if self.witness is not None:
+            self.witness.coasted(t_ns, self.estimate)
+
+    def _publish(self, t_ns: int) -> None:
+        received = self.intake.counters
+        shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self._failures() + received.lost)
+        detail = self.publication.complete(self.estimate, t_ns, shown | int(self.commissioning.fault))
+        bias_A = self.estimate.current_bias_A
+        detail.current_bias_A = bias_A if isinstance(bias_A, float) else float(np.mean(bias_A))
+        self._send(t_ns, detail)
+        self.published += 1
+        if self.witness is not None:
+            self.witness.published(t_ns, self.estimate, detail)
+        self._stepped = False
+        # A period that is late once is made up for, one that is late by more is not.
+        on_time = self._periodic and self._due_after_ns and t_ns - self._published_ns < 2 * self._due_after_ns
+        self._published_ns = self._published_ns + self._due_after_ns if on_time and self._due_after_ns else t_ns
+
+
+class _Recent:
+    """A fault that is shown for FAULT_HOLD_NS after its counter moved."""
+
+    def __init__(self, fault: Fault, count: int) -> None:
+        self._bit, self._count, self._until_ns = int(fault), count, -1
+
+    def at(self, t_ns: int, count: int) -> int:
+        """Its bit, or 0."""
+        if count != self._count:
+            self._count, self._until_ns = count, t_ns + FAULT_HOLD_NS
+        return self._bit if t_ns < self._until_ns else 0
+
+
+def _is_empty(sample: Sample) -> bool:
+    """Whether nothing was measured."""
+    if sample.current_A == sample.current_A:
+        return False
+    return not (_measured(sample.voltage_V) or _measured(sample.temperature_degC))
+
+
+def _measured(values: PerCell) -> bool:
+    if isinstance(values, float):
+        return values == values  # noqa: PLR0124
+    return bool((values == values).any())  # noqa: PLR0124

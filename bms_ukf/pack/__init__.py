@@ -1,0 +1,7 @@
+"""What a vehicle wants to know of a battery of many cells: how far it reaches, what it may give, how it ages."""
+
+from bms_ukf.pack.limits import Limits
+from bms_ukf.pack.pack import Pack
+from bms_ukf.pack.record import PackEstimate
+
+__all__ = ["Limits", "Pack", "PackEstimate"]
