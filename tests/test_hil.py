@@ -29,6 +29,8 @@ sensors = { seed = 3, current = { noise_A = 0.02 }, voltage = { noise_V = 0.002 
 estimator = { cell = "lgm50_chen2020" }
 """
 
+LOSS = '[[fault]]\nkind = "loss"\nat_s = 3\n'
+
 
 @pytest.fixture
 def short(tmp_path):
@@ -66,6 +68,13 @@ def test_the_example_shows_every_table_and_passes(bms_ukf):
     assert not set(scenario.Scenario.model_fields) - found.model_fields_set
     ended = bms_ukf("hil", "faults")
     assert ended.code == 0, ended.out
+
+
+def test_cosim_runs_the_same_file_without_faults_and_says_so(short, bms_ukf, caplog):
+    ended = bms_ukf("cosim", short(LOSS))
+    assert ended.code == 0
+    assert "without its faults and expectations" in caplog.text
+    assert "cells is 2; expected 1" in bms_ukf("cosim", short("", step_s="cells = 2\nstep_s")).line
 
 
 def test_a_run_is_the_same_every_time_and_over_each_transport_in_this_process(short):
@@ -142,7 +151,6 @@ def test_real_time_is_kept_and_late_steps_are_counted(short):
     assert 1 <= result.overruns < 60
 
 
-LOSS = '[[fault]]\nkind = "loss"\nat_s = 3\n'
 OFFSET = '[[fault]]\nkind = "offset"\nsignal = "voltage_V"\noffset = 0.1\nat_s = 3\n'
 DETECTED = '[[expect]]\nkind = "detected"\nfault = "loss"\nby = "bus"\nwithin_s = 1\n'
 

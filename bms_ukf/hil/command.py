@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -35,11 +36,10 @@ def hil(given: Sequence[str], place: Place, workers: int, junit_path: Path | Non
 
     Raises ConfigError for the first that cannot be read, before any is run.
     """
-    logging.getLogger("bms_ukf").setLevel(logging.CRITICAL)  # the daemon's own log tells of the faults it is given
     loaded = [scenario.load(path) for path in _files(given)]
     console = Console()
     results = []
-    with view.progress(console, len(loaded)) as shown:
+    with _quiet(), view.progress(console, len(loaded)) as shown:
         for result in _run(loaded, place, workers, shown.step):
             results.append(result)
             shown.done(len(results), result)
@@ -73,5 +73,17 @@ def _run(loaded: Sequence[Loaded], place: Place, workers: int, watch: Callable[[
 
 
 def _work(place: Place, loaded: Loaded) -> Result:
-    logging.getLogger("bms_ukf").setLevel(logging.CRITICAL)
-    return runner.run(*loaded, *place)
+    with _quiet():
+        return runner.run(*loaded, *place)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The daemon's own log tells of the faults it is given: on a terminal it would hide the results."""
+    logger = logging.getLogger("bms_ukf")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
