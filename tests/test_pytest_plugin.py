@@ -41,9 +41,8 @@ def run(pytester, *arguments: str):
 
 
 def test_the_readmes_ten_lines_pass(mine):
-    example = (
-        README.read_text("utf-8").partition("**Your own tests.**")[2].partition("```python\n")[2].partition("```")[0]
-    )
+    section = README.read_text("utf-8").partition("**Your own tests.**")[2]
+    example = section.partition("```python\n")[2].partition("```")[0]
     wire = '[[fault]]\nkind = "open_wire"\nsignal = "voltage_V"\nat_s = 8\n'
     mine.makefile(".toml", open_wire=SCENARIO + wire)
     mine.makepyfile(example)
