@@ -117,6 +117,71 @@ def test_a_scenario_made_to_fail_exits_with_1_and_names_the_expectation_everywhe
     assert digest[:8] in ended.out
 
 
+UNMET = """
+[[fault]]
+kind = "open_wire"
+signal = "voltage_V"
+at_s = 8
+for_s = 8
+[[expect]]
+kind = "coverage"
+at_least = 0.5
+from_s = 30
+[[expect]]
+kind = "never_valid_and_wrong"
+above = 1e-9
+[[expect]]
+kind = "status_sequence"
+sequence = ["ok"]
+[[expect]]
+kind = "stored_state"
+word = "used"
+[[expect]]
+kind = "plant_failure"
+failure = "crash"
+[[expect]]
+kind = "detected"
+fault = "open_wire"
+by = "voltage_missing"
+within_s = 1
+[[expect]]
+kind = "recovered"
+fault = "open_wire"
+within_s = 1
+below = 1e-9
+[[expect]]
+kind = "not_detected"
+fault = "open_wire"
+"""
+
+
+def test_each_kind_of_expectation_fails_where_it_is_not_met_and_says_what_was_found(short):
+    result = runner.run(*scenario.load(short(UNMET)), "direct")
+    assert not [verdict.wanted for verdict in result.verdicts if verdict.passed]
+    assert [verdict.found for verdict in result.verdicts if not verdict.wanted.startswith("never")] == [
+        "no SoC",
+        "ok, degraded, ok",
+        "none",
+        "none",
+        "after 5.5 s",
+        "never",
+        "voltage_missing after 5.5 s",
+    ]
+
+
+def test_the_report_has_the_fault_matrix_and_a_figure_and_the_verdicts_of_each_scenario(short, bms_ukf, tmp_path):
+    page = tmp_path / "hil.html"
+    assert bms_ukf("hil", short(UNMET), LIBRARY / "plant_nan.toml", "--report", page).code == 1
+    text = page.read_text("utf-8")
+    assert "1 of 2 scenarios passed" in text
+    assert text.count("data:image/png;base64,") == 2
+    matrix = text.partition("Fault matrix")[2].partition("</table>")[0]
+    assert "open wire" in matrix
+    assert "plant nan" in matrix
+    assert "detected: voltage_missing within 1 s of open_wire</td><td>after 5.5 s" in text
+    assert '="http' not in text
+
+
 def test_what_a_transport_cannot_do_is_said_and_not_passed(short, bms_ukf, tmp_path):
     path = short('[[fault]]\nkind = "clock_step"\nstep_s = 60.0\nat_s = 3\n')
     junit = tmp_path / "junit.xml"
