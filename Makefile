@@ -1,13 +1,16 @@
-# make demo · test · lint · plant · bench · soak: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
+# make demo · hil · test · lint · plant · bench · soak: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
 PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 export PYBAMM_DISABLE_TELEMETRY := true
 
-.PHONY: demo test lint plant bench soak clean
+.PHONY: demo hil test lint plant bench soak clean
 
 demo: .venv/runtime
 	$(BIN)/bms-ukf demo
+
+hil: .venv/runtime
+	$(BIN)/bms-ukf hil tests/hil --jobs 2 --junit hil.xml --report hil.html
 
 test: lint
 	$(BIN)/python -m pytest -m "not socketcan and not bench"

@@ -99,6 +99,8 @@ def _next(demand: Demand, state: PlantState) -> float | None:
 
 
 def _estimator(scenario: Scenario, path: Path) -> Estimator:
+    if scenario.cells > 1:
+        raise ConfigError(path, key="cells", value=scenario.cells, expected="1: bms-ukf hil is for several")
     cell_path = resources.find(scenario.estimator.cell, "cells", ".toml", relative_to=path.parent)
     return Estimator(CellParams.load(cell_path), tuning=scenario.estimator.tuning)
 

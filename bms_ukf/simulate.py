@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
 from bms_ukf import cosim, metrics, scenario
+
+log = logging.getLogger(__name__)
 
 
 def simulate(
@@ -18,6 +21,8 @@ def simulate(
     from bms_ukf.view import LiveView, verdict
 
     found, path = scenario.load(given)
+    if found.fault or found.expect:
+        log.warning("%s: without its faults and expectations, which are for bms-ukf hil", path)
     with LiveView(found.name) as view:
         trace, summary = cosim.run(found, path, view.update)
     page = None

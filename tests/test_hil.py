@@ -29,6 +29,8 @@ sensors = { seed = 3, current = { noise_A = 0.02 }, voltage = { noise_V = 0.002 
 estimator = { cell = "lgm50_chen2020" }
 """
 
+LOSS = '[[fault]]\nkind = "loss"\nat_s = 3\n'
+
 
 @pytest.fixture
 def short(tmp_path):
@@ -66,6 +68,13 @@ def test_the_example_shows_every_table_and_passes(bms_ukf):
     assert not set(scenario.Scenario.model_fields) - found.model_fields_set
     ended = bms_ukf("hil", "faults")
     assert ended.code == 0, ended.out
+
+
+def test_cosim_runs_the_same_file_without_faults_and_says_so(short, bms_ukf, caplog):
+    ended = bms_ukf("cosim", short(LOSS))
+    assert ended.code == 0
+    assert "without its faults and expectations" in caplog.text
+    assert "cells is 2; expected 1" in bms_ukf("cosim", short("", step_s="cells = 2\nstep_s")).line
 
 
 def test_a_run_is_the_same_every_time_and_over_each_transport_in_this_process(short):
@@ -108,6 +117,71 @@ def test_a_scenario_made_to_fail_exits_with_1_and_names_the_expectation_everywhe
     assert digest[:8] in ended.out
 
 
+UNMET = """
+[[fault]]
+kind = "open_wire"
+signal = "voltage_V"
+at_s = 8
+for_s = 8
+[[expect]]
+kind = "coverage"
+at_least = 0.5
+from_s = 30
+[[expect]]
+kind = "never_valid_and_wrong"
+above = 1e-9
+[[expect]]
+kind = "status_sequence"
+sequence = ["ok"]
+[[expect]]
+kind = "stored_state"
+word = "used"
+[[expect]]
+kind = "plant_failure"
+failure = "crash"
+[[expect]]
+kind = "detected"
+fault = "open_wire"
+by = "voltage_missing"
+within_s = 1
+[[expect]]
+kind = "recovered"
+fault = "open_wire"
+within_s = 1
+below = 1e-9
+[[expect]]
+kind = "not_detected"
+fault = "open_wire"
+"""
+
+
+def test_each_kind_of_expectation_fails_where_it_is_not_met_and_says_what_was_found(short):
+    result = runner.run(*scenario.load(short(UNMET)), "direct")
+    assert not [verdict.wanted for verdict in result.verdicts if verdict.passed]
+    assert [verdict.found for verdict in result.verdicts if not verdict.wanted.startswith("never")] == [
+        "no SoC",
+        "ok, degraded, ok",
+        "none",
+        "none",
+        "after 5.5 s",
+        "never",
+        "voltage_missing after 5.5 s",
+    ]
+
+
+def test_the_report_has_the_fault_matrix_and_a_figure_and_the_verdicts_of_each_scenario(short, bms_ukf, tmp_path):
+    page = tmp_path / "hil.html"
+    assert bms_ukf("hil", short(UNMET), LIBRARY / "plant_nan.toml", "--report", page).code == 1
+    text = page.read_text("utf-8")
+    assert "1 of 2 scenarios passed" in text
+    assert text.count("data:image/png;base64,") == 2
+    matrix = text.partition("Fault matrix")[2].partition("</table>")[0]
+    assert "open wire" in matrix
+    assert "plant nan" in matrix
+    assert "detected: voltage_missing within 1 s of open_wire</td><td>after 5.5 s" in text
+    assert '="http' not in text
+
+
 def test_what_a_transport_cannot_do_is_said_and_not_passed(short, bms_ukf, tmp_path):
     path = short('[[fault]]\nkind = "clock_step"\nstep_s = 60.0\nat_s = 3\n')
     junit = tmp_path / "junit.xml"
@@ -142,7 +216,6 @@ def test_real_time_is_kept_and_late_steps_are_counted(short):
     assert 1 <= result.overruns < 60
 
 
-LOSS = '[[fault]]\nkind = "loss"\nat_s = 3\n'
 OFFSET = '[[fault]]\nkind = "offset"\nsignal = "voltage_V"\noffset = 0.1\nat_s = 3\n'
 DETECTED = '[[expect]]\nkind = "detected"\nfault = "loss"\nby = "bus"\nwithin_s = 1\n'
 

@@ -64,6 +64,12 @@ MAY_IMPORT = {
     "sensors": {"errors", "records"},
     "fmumaker": {"errors", "fmumaker", "toml"},
     "plantmaker": {"errors", "fmumaker", "plantmaker"},
+    "faults": {"dbc", "e2e", "faults", "frames", "records", "toml"},
+    "expectations": {"expectations", "faults", "metrics", "plant", "records", "toml", "trace"},
+    "hil": CODEC
+    | {"bus", "clock", "config", "daemon", "errors", "estimator", "expectations", "faults", "hil", "node", "plant"}
+    | {"records", "resources", "scenario", "sensors", "slots", "state"},
+    "pytest_plugin": {"ConfigError", "bus", "config", "hil", "plant", "scenario"},
     "scaling": {"cell"},
     "open_circuit": set(),
     "alignment": {"records"},
@@ -98,7 +104,7 @@ KNOWN_TO = {
     "cantools": CODEC | {"candidates", "monitor", "skeleton"},
     "fastcrc": {"e2e"},
     "prometheus_client": {"exporter"},
-    "can": {"bus", "cosim", "framelog", "links", "replay", "socketcan"},
+    "can": {"bus", "cosim", "framelog", "hil", "links", "pytest_plugin", "replay", "socketcan"},
     "click": {"cli"},
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.

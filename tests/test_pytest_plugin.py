@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 
@@ -26,21 +27,7 @@ estimator = { cell = "lgm50_chen2020" }
 kind = "soc_error"
 below = 0.05
 """
-# The example of the README.
-OF_A_USER = """
-from bms_ukf import Fault, Sample, Status
-
-SECOND = 1_000_000_000
-
-def test_an_open_voltage_wire_is_told_in_time(plant, bms):
-    for k in range(40):
-        true = plant.step(2.5, SECOND)
-        voltage_V = true.voltage_V if k < 30 else float("nan")
-        estimate = bms.exchange(Sample(true.t_ns, true.current_A, voltage_V, true.temperature_degC))
-        assert estimate.status is Status.OK or k >= 35
-    assert estimate.status is Status.DEGRADED
-    assert Fault.VOLTAGE_MISSING in estimate.faults
-"""
+README = Path(__file__).resolve().parents[1] / "README.md"
 
 
 @pytest.fixture
@@ -54,8 +41,12 @@ def run(pytester, *arguments: str):
 
 
 def test_the_readmes_ten_lines_pass(mine):
-    mine.makepyfile(OF_A_USER)
-    run(mine).assert_outcomes(passed=1)
+    section = README.read_text("utf-8").partition("**Your own tests.**")[2]
+    example = section.partition("```python\n")[2].partition("```")[0]
+    wire = '[[fault]]\nkind = "open_wire"\nsignal = "voltage_V"\nat_s = 8\n'
+    mine.makefile(".toml", open_wire=SCENARIO + wire)
+    mine.makepyfile(example)
+    run(mine).assert_outcomes(passed=2)
 
 
 def test_a_marked_test_runs_its_scenario_and_fails_by_the_expectation(mine):

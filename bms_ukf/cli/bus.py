@@ -109,7 +109,11 @@ def hil_(
     """Run SCENARIOS (files or folders) with faults against the daemon, and judge them; exit 1 if one fails."""
     from bms_ukf.hil import command
 
-    results = command.hil(scenarios, command.Place(interface, channel), jobs, junit, report)
+    results = command.hil(scenarios, command.Place(interface, channel), jobs, junit)
+    if report is not None:
+        from bms_ukf.report.hil import write_report
+
+        click.echo(f"report: {write_report(report, results)}")
     if json_path is not None:
         write_json(json_path, {"scenarios": [result.summary() for result in results]})
     sys.exit(1 if any(result.outcome == "failed" for result in results) else 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -30,26 +31,21 @@ class Place(NamedTuple):
 Loaded = tuple[Scenario, Path]
 
 
-def hil(given: Sequence[str], place: Place, workers: int, junit_path: Path | None, report: Path | None) -> list[Result]:
+def hil(given: Sequence[str], place: Place, workers: int, junit_path: Path | None) -> list[Result]:
     """Run scenarios in files, folders or shipped, show and write what came of them, and return it.
 
     Raises ConfigError for the first that cannot be read, before any is run.
     """
-    logging.getLogger("bms_ukf").setLevel(logging.ERROR)  # the daemon's own log tells of the faults it is given
     loaded = [scenario.load(path) for path in _files(given)]
     console = Console()
     results = []
-    with view.progress(console, len(loaded)) as shown:
+    with _quiet(), view.progress(console, len(loaded)) as shown:
         for result in _run(loaded, place, workers, shown.step):
             results.append(result)
             shown.done(len(results), result)
     view.show(results, console)
     if junit_path is not None:
         junit.write(junit_path, results)
-    if report is not None:
-        from bms_ukf.report.hil import write_report  # brings matplotlib
-
-        console.print(f"report: {write_report(report, results)}", highlight=False, soft_wrap=True)
     return results
 
 
@@ -77,5 +73,17 @@ def _run(loaded: Sequence[Loaded], place: Place, workers: int, watch: Callable[[
 
 
 def _work(place: Place, loaded: Loaded) -> Result:
-    logging.getLogger("bms_ukf").setLevel(logging.ERROR)
-    return runner.run(*loaded, *place)
+    with _quiet():
+        return runner.run(*loaded, *place)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The daemon's own log tells of the faults it is given: on a terminal it would hide the results."""
+    logger = logging.getLogger("bms_ukf")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
