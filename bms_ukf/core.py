@@ -20,6 +20,7 @@ from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
 from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored
 from bms_ukf.scan import Scan
+from bms_ukf.stuck import Stuck
 
 FAULT_HOLD_NS = 1_000_000_000
 PATIENCE_NS = 100_000_000  # between two looks at what is due: how long a request to stop may wait
@@ -46,6 +47,7 @@ class Core:
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
         self.witness: Witness | None = None
+        self.stuck = Stuck(estimator.cell, estimator.cells)
         self._scan = Scan(estimator.cells)
         self._published_ns = 0
         self._stepped = False  # since the last set
@@ -99,6 +101,7 @@ class Core:
     def _handle(self, samples: Sequence[Sample]) -> None:
         estimate, witness = self.estimate, self.witness
         for sample in samples:
+            self.stuck.take(sample)
             if _is_empty(sample):  # its sender lives, and knows nothing: no reason to look alive
                 self._coast(sample.t_ns)
                 self.publication.follow(sample, estimate)
@@ -107,7 +110,7 @@ class Core:
             if witness is not None:
                 witness.stepped(sample, estimate)
             self.publication.follow(sample, estimate)
-            if not int(estimate.faults) & _IMPLAUSIBLE:
+            if not (int(estimate.faults) | int(self.stuck.fault)) & _IMPLAUSIBLE:
                 self.commissioning.see(sample)
             self._stepped = True
             if self._scan.ends_with(sample) and not self._periodic:
@@ -121,7 +124,9 @@ class Core:
     def _publish(self, t_ns: int) -> None:
         received = self.intake.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self._failures() + received.lost)
-        detail = self.publication.complete(self.estimate, t_ns, shown | int(self.commissioning.fault))
+        detail = self.publication.complete(
+            self.estimate, t_ns, shown | int(self.commissioning.fault | self.stuck.fault)
+        )
         bias_A = self.estimate.current_bias_A
         detail.current_bias_A = bias_A if isinstance(bias_A, float) else float(np.mean(bias_A))
         self._send(t_ns, detail)

@@ -72,6 +72,7 @@ MAY_IMPORT = {
     "pytest_plugin": {"ConfigError", "bus", "config", "hil", "plant", "scenario"},
     "scaling": {"cell"},
     "open_circuit": set(),
+    "stuck": {"cell", "records"},
     "alignment": {"records"},
     "intake": {"alignment", "decoder", "frames", "open_circuit", "records"},
     "e2e_settings": {"dbc", "e2e", "errors", "toml"},
@@ -89,7 +90,7 @@ MAY_IMPORT = {
     "state": {"estimator", "records", "seldom", "slots"},
     "notify": set(),
     "commissioning": {"cell", "records"},
-    "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan"},
+    "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan", "stuck"},
     "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
