@@ -19,7 +19,7 @@ from bms_ukf.firmware import elf, stack
 from bms_ukf.firmware.compile import compiled
 from bms_ukf.firmware.package import FAULTS, RESULTS, STATUSES, TABLES
 from bms_ukf.firmware.targets import TARGETS
-from bms_ukf.kernel import entry
+from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.params import form_of, params
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
 from bms_ukf.scaling import scaled
@@ -45,12 +45,13 @@ def faulty(steps: int, seed: int):
     for dt, current, voltage, temperature in drive(steps, varying_dt=True, seed=seed):
         time_ms += round(1000 * dt)
         late_ms = 5000 if rng.random() < 0.01 else 0
+        contactor_open = bool(rng.random() < 0.03)
         sample = Sample(
             (time_ms - late_ms) * 10**6,
-            math.nan if rng.random() < 0.03 else current,
+            math.nan if rng.random() < (0.5 if contactor_open else 0.03) else current,
             math.nan if rng.random() < 0.05 else voltage + (2.0 if rng.random() < 0.01 else 0.0),
             math.nan if rng.random() < 0.05 else temperature,
-            open_circuit=bool(rng.random() < 0.01),
+            open_circuit=contactor_open,
         )
         yield time_ms - late_ms, sample
 
@@ -117,8 +118,8 @@ def test_a_float32_object_computes_nothing_in_double(exported, cell):
 
 
 def test_flash_ram_and_stack_are_within_what_a_small_microcontroller_has(exported):
-    _, _, cost = exported
-    assert cost.flash < 24_000
+    target, _, cost = exported
+    assert cost.flash < (24_000 if target == "cortex-m7" else 26_000)
     assert cost.ram_cell < 512
     assert 100 < cost.stack < 512
 
@@ -158,7 +159,7 @@ def test_a_result_that_does_not_exist_is_nan(tmp_path, cell):
     one.step(0, 1.0, 3.7, 25.0)
     assert not math.isnan(one.get("AGE"))
     assert math.isnan(one.get("AGE", cell=1))
-    one.macros |= {"BEFORE": "2", "AFTER": "13"}
+    one.macros |= {"BEFORE": str(layout.OUT_SOC - 1), "AFTER": str(layout.IO_ROWS)}
     assert math.isnan(one.get("BEFORE"))
     assert math.isnan(one.get("AFTER"))
 

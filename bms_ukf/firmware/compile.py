@@ -70,13 +70,19 @@ def compiled(form: Form, cells: int, params: NDArray[Any], target: Target) -> Co
     machine = target.machine()
     module = _optimised(_linked(form, cells, params, bits, target, machine), machine)
     text, work = _with_workspace(str(module), bits)
-    final = llvm.parse_assembly(text)
-    for function in final.functions:
-        if not function.is_declaration:  # optimised for speed, which unrolls the loops over states; then put small
+    # Writing code changes a module: the assembly of one that has been written is not that of its object.
+    return Compiled(machine.emit_object(_small(text)), machine.emit_assembly(_small(text)), text, work)
+
+
+def _small(text: str) -> llvm.ModuleRef:
+    """A module that was optimised for speed, which unrolled its loops over states, to be written for size."""
+    module = llvm.parse_assembly(text)
+    for function in module.functions:
+        if not function.is_declaration:
             function.add_function_attribute("optsize")
             function.add_function_attribute("minsize")
-    final.verify()
-    return Compiled(machine.emit_object(final), machine.emit_assembly(final), text, work)
+    module.verify()
+    return module
 
 
 def _linked(

@@ -75,9 +75,14 @@ def sample(
         code: int = held[B_CODE]
         status = code >> STATUS_SHIFT
         return code & FAULT_MASK | TIME_REVERSED | (DEGRADED if status == OK else status) << STATUS_SHIFT
-    known = contactor_open != 0
-    flows = current if m.bias or not known else real(s, 0)
-    shown = current if known else real(s, math.nan)
+    shown = current if contactor_open else real(s, math.nan)
+    flows = current
+    if contactor_open and not m.bias:
+        flows = real(s, 0)
+    elif contactor_open and math.isnan(current):
+        flows = real(s, 0)
+        for cell in range(cells):  # a reading that is missing: what the sensor would show
+            flows += s[io + cells * k.OUT_BIAS + cell] / real(s, cells)
     codes = 0
     for cell in range(cells):
         s[io + cells * k.IN_VOLTAGE + cell] = voltage[cell]
