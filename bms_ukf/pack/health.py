@@ -16,6 +16,11 @@ follows by one recursive update a segment. What keeps it honest:
 - A segment with a gap in its current is none.
 - The sensor's gain cannot be told from capacity. Its sigma is in `capacity_sigma`, and is not averaged away.
 
+A dual filter, which has q follow the innovations by the sensitivity of SoC to it, was measured on five simulated
+days and not taken: beside a filter that corrects SoC and tracks the offset it finds 0.97 of a cell that has 0.90, and
+claims to know it to 0.002; what the innovations could tell of q, the other two states have already taken up. Segments
+between rests found 0.899.
+
 q is written back to the estimator, so SoC is that of the capacity the cell has now: charge above empty over its own
 capacity. Resistance is r0 as the filter tracks it, averaged over the time in which steps of the current tell it.
 """

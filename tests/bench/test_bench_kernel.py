@@ -50,9 +50,8 @@ def replays(hysteresis: bool, bits: int) -> list[float]:
     samples = np.ascontiguousarray(Drive(cell, 1, faults=False).samples, c.dtype)
     estimator = Estimator(cell, tuning=TUNING, precision="f64" if bits == 64 else "f32")
     results = np.empty((len(samples), 3), c.dtype)
-    io = np.empty((len(samples), layout.IO_ROWS), c.dtype)
+    io = np.full((len(samples), layout.IO_ROWS), np.nan, c.dtype)
     io[:, layout.IN_VOLTAGE], io[:, layout.IN_TEMPERATURE] = samples[:, 2], samples[:, 3]
-    io[:, layout.IN_OFFSET] = np.nan
     dt, current = (np.ascontiguousarray(samples[:, column]) for column in (0, 1))
     run, (params, state, *_) = entry.replay(estimator._form, bits), estimator._addresses
 
