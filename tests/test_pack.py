@@ -185,3 +185,12 @@ def test_in_float32_the_same_is_told():
         told.append(Pack(estimator, LIMITS).update(estimator.step(sample), sample))
     for name in ("soc", "remaining_Wh", "discharge_A", "charge_A", "discharge_sigma_A"):
         assert getattr(told[0], name) == pytest.approx(getattr(told[1], name), rel=2e-3), name
+
+
+def test_before_every_input_was_seen_nothing_is_known_and_all_is_silent():
+    estimator = Estimator(STEADY, 3)
+    sample = Sample(0, 1.0, np.array([3.7, NAN, 3.7]), 25.0)
+    told = Pack(estimator).update(estimator.step(sample), sample)
+    assert told.status is Status.INITIALISING
+    assert math.isnan(told.soc)
+    assert (told.empty_first, told.silent, told.silent_cell) == (-1, 3, 0)

@@ -95,7 +95,7 @@ class Pack:
         blank = PackEstimate()
         for name in PackEstimate.__slots__:
             value = getattr(blank, name)
-            if name != "power_W" and (isinstance(value, float) or value == -1):
+            if name != "power_W" and (isinstance(value, float) or (isinstance(value, int) and value == -1)):
                 setattr(pack, name, value if name != "silent_cell" else pack.silent_cell)
         pack.current_bias_A[:] = math.nan
 
