@@ -14,16 +14,21 @@ from bms_ukf.dbc import Matrix
 from bms_ukf.decoder import Decoder
 from bms_ukf.e2e_settings import E2e
 from bms_ukf.errors import ConfigError
+from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
 from bms_ukf.logsetup import Log
 from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.pace import Pace
+from bms_ukf.pack import Limits
+from bms_ukf.pack_output import CELL_SOC_PERIOD_S, PackOutput
 from bms_ukf.scaling import scaled
 from bms_ukf.signals import Bound, SignalMap
 from bms_ukf.tuning import Tuning
+from bms_ukf.wiring import Wiring
 
 Text = Annotated[str, Field(min_length=1)]
 Scale = Annotated[float, Field(ge=1e-3, le=1e3)]
+Index = Annotated[int, Field(ge=1, le=400)]
 Lag = Annotated[float, Field(ge=0, le=60)]
 
 
@@ -96,6 +101,15 @@ class Metrics(toml.Section):
     port: Annotated[int, Field(ge=1, le=65535)]
 
 
+class PackUse(Limits):
+    """[pack]: how its cells are wired, within what they are used, and what is published of it."""
+
+    sensor_of: list[Index] | None = None  # the temperature signal of each cell, counted from 1
+    string_of: list[Index] | None = None  # the string of each cell, and so its current signal, counted from 1
+    bleed_A: Annotated[float, Field(gt=0)] | None = None  # of a cell that a flag says is balanced
+    cell_soc_period_s: Annotated[float, Field(ge=0.1, le=3600)] = CELL_SOC_PERIOD_S  # in which every cell's is sent
+
+
 class Config(toml.Document):
     """A whole CONFIG.toml."""
 
@@ -109,6 +123,7 @@ class Config(toml.Document):
     soc_slew_per_s: Annotated[float, Field(gt=0, le=1)] = 0.001  # how fast SocSlewed may be corrected
     bus: Bus
     signals: Signals | None = None
+    pack: PackUse | None = None  # what is known of a pack is published with it, and of several cells without it, too
     state: State | None = None
     recorder: Recorder | None = None
     metrics: Metrics | None = None
@@ -123,6 +138,7 @@ class Setup:
         """`cell`: in place of the one the configuration names, before it is scaled."""
         self.config, self.source = config, source
         self.cell = self._cell(cell)
+        self.wiring = self._wiring()
         self.warnings: list[str] = []
         self.decoder = self._decoder()
         if config.signals is not None:
@@ -151,6 +167,26 @@ class Setup:
         circuit = OpenCircuit(3 * sigma_A) if signals.contactor is not None else None
         lag = signals.lag_s
         return Intake(self.decoder, circuit, Alignment(lag.current, lag.voltage, lag.temperature))
+
+    def estimator(self) -> Estimator:
+        """One that has seen nothing."""
+        return Estimator(self.cell, self.config.cells, self.config.estimator, wiring=self.wiring)
+
+    def pack_output(self, estimator: Estimator) -> PackOutput | None:
+        """What is published beyond the SoC; None: nothing, as of a single cell unless it is configured."""
+        if self.config.pack is None and self.config.cells == 1:
+            return None
+        use = self.config.pack or PackUse()
+        return PackOutput(estimator, use, use.cell_soc_period_s)
+
+    def _wiring(self) -> Wiring:
+        pack, cells = self.config.pack or PackUse(), self.config.cells
+        named = {"sensor_of": pack.sensor_of, "string_of": pack.string_of}
+        for key, numbers in named.items():
+            if numbers is not None and len(numbers) != cells:
+                expected = f"a number for each of {cells} cells, and not of {len(numbers)}"
+                raise ConfigError(self.source, key=f"pack.{key}", expected=expected)
+        return Wiring(**{key: numbers and [number - 1 for number in numbers] for key, numbers in named.items()})
 
     def _cell(self, cell: CellParams | None) -> CellParams:
         config = self.config

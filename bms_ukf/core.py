@@ -11,14 +11,12 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-import numpy as np
-
 from bms_ukf.commissioning import Commissioning
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
-from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored
+from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored, mean_known
 from bms_ukf.scan import Scan
 from bms_ukf.stuck import Stuck
 
@@ -127,8 +125,7 @@ class Core:
         detail = self.publication.complete(
             self.estimate, t_ns, shown | int(self.commissioning.fault | self.stuck.fault)
         )
-        bias_A = self.estimate.current_bias_A
-        detail.current_bias_A = bias_A if isinstance(bias_A, float) else float(np.mean(bias_A))
+        detail.current_bias_A = mean_known(self.estimate.current_bias_A)
         self._send(t_ns, detail)
         self.published += 1
         if self.witness is not None:

@@ -19,6 +19,7 @@ from bms_ukf.encoder import Encoder
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
+from bms_ukf.pack_output import PackOutput
 from bms_ukf.records import Detail
 
 HEALTH_NS = 1_000_000_000
@@ -50,17 +51,21 @@ class Daemon(Core):
         clock: Clock | None = None,
         pace: Pace = Pace(),  # noqa: B008 - a tuple
         fd: bool = False,
+        pack: PackOutput | None = None,
     ) -> None:
-        """`clock` times the frames (None: a `StampClock`). `fd`: CAN FD frames are read."""
+        """`clock` times the frames (None: a `StampClock`). `fd`: CAN FD frames are read. `pack`: what is published of
+        it; None: of several cells by the defaults, of a single one nothing.
+        """
         self.bus, self._fd = bus, fd
-        self.encoder = Encoder(estimator.cells)
+        self.encoder = Encoder()
+        self.pack = pack or (PackOutput(estimator) if estimator.cells > 1 else None)
         self._clock: Clock = clock or StampClock()
         self._health_ns = 0
         super().__init__(estimator, intake, pace)
 
-    def reconfigure(self, bus: SafeBus, intake: Intake, *, pace: Pace, fd: bool) -> None:
+    def reconfigure(self, bus: SafeBus, intake: Intake, *, pace: Pace, fd: bool, pack: PackOutput | None) -> None:
         """Go on with another bus, way in and pace. What the estimator knows, the time and the counters stay."""
-        self.bus, self._fd = bus, fd
+        self.bus, self._fd, self.pack = bus, fd, pack
         self._adopt(intake, pace)
 
     def now_ns(self) -> int:
@@ -109,5 +114,9 @@ class Daemon(Core):
             )
             bus.send(self.encoder.health(counts, accepted), t_ns)
             self._health_ns = t_ns
-        for frame in self.encoder.encode(self.estimate, detail, accepted):
+        frames = self.encoder.encode(self.estimate, detail, accepted)
+        if self.pack is not None:
+            whole = self.publication.whole(self.estimate, t_ns)
+            frames = self.pack.frames(whole, self.estimate, accepted) + frames
+        for frame in frames:
             bus.send(frame, t_ns)

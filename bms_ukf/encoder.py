@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bms_ukf.dbc import Field, own_matrix
-from bms_ukf.frames import Frame, Outbox, Pages
-from bms_ukf.records import NAN, Detail, Estimate, PerCell, Status
+from bms_ukf.frames import Frame, Outbox
+from bms_ukf.records import NAN, Detail, Estimate, PerCell, Status, largest_known, mean_known
 
 HEALTH = ("FramesDropped", "FramesRefused", "FramesNotSent", "ClockSteps", "Reopened", "Contradictions")
 
@@ -23,10 +23,11 @@ class Encoder:
 
     `accepted` is how many samples the estimator has accepted so far: the alive counter of a message stands still while
     that number does, so an estimator that has stopped cannot look alive. Values beyond the DBC's limits are sent as the
-    limit; SoC and sigma are sent as not available unless the status is `OK` or `DEGRADED`. Nothing here raises.
+    limit; SoC and sigma are sent as not available unless the status is `OK` or `DEGRADED`. Of a pack, cells that
+    are not known (NaN) are left out. Nothing here raises.
     """
 
-    def __init__(self, cells: int = 1) -> None:
+    def __init__(self) -> None:
         matrix = own_matrix()
 
         def field_of(name: str) -> Field:
@@ -60,28 +61,20 @@ class Encoder:
         self._health_box = Outbox(matrix.message("BusHealth"))
         self._counts = [field_of(f"BusHealth.{name}") for name in HEALTH]
 
-        self._cell_soc = Pages(matrix, "CellSoc", "Cell", cells, 0.01) if cells > 1 else None
-        self._next_page = 0
-
     def encode(self, estimate: Estimate, detail: Detail, accepted: int) -> list[Frame]:
-        """A set: SocDetail, BmsState, SocQuality and SocEstimate; for a pack a page of CellSoc first."""
-        frames = [
+        """A set: SocDetail, BmsState, SocQuality and SocEstimate."""
+        return [
             self.detail(estimate, detail, accepted),
             self.state(estimate, detail, accepted),
             self.quality(estimate, accepted),
             self.soc(estimate, accepted),
         ]
-        if self._cell_soc is not None:
-            soc = estimate.soc if estimate.status in _AVAILABLE else NAN
-            frames.insert(0, self._cell_soc.frame(self._next_page, soc, accepted))
-            self._next_page = (self._next_page + 1) % self._cell_soc.count
-        return frames
 
     def soc(self, estimate: Estimate, accepted: int) -> Frame:
         """SocEstimate: the mean SoC, the largest sigma and the largest age of the cells, and the status."""
         soc, sigma, age = estimate.soc, estimate.soc_sigma, estimate.age_s
         if not (isinstance(soc, float) and isinstance(sigma, float) and isinstance(age, float)):
-            soc, sigma, age = float(np.mean(soc)), float(np.max(sigma)), float(np.max(age))
+            soc, sigma, age = mean_known(soc), largest_known(sigma), largest_known(age)
         if estimate.status not in _AVAILABLE:
             soc = sigma = NAN
         word = estimate.status << self._status_shift | self._soc(soc) | self._sigma(sigma) | self._age(age)
@@ -99,7 +92,7 @@ class Encoder:
     def state(self, estimate: Estimate, detail: Detail, accepted: int) -> Frame:
         """BmsState: fault bits, what became of a stored belief, lowest and highest SoC of the cells."""
         soc = estimate.soc if estimate.status in _AVAILABLE else NAN
-        lowest, highest = (soc, soc) if isinstance(soc, float) else (float(np.min(soc)), float(np.max(soc)))
+        lowest, highest = (soc, soc) if isinstance(soc, float) else (-largest_known(-soc), largest_known(soc))
         word = int(estimate.faults) << self._faults_shift | detail.stored << self._stored_shift
         word |= self._soc_min(lowest) | self._soc_max(highest)
         return self._state_box.frame(word, accepted)
@@ -107,10 +100,10 @@ class Encoder:
     def detail(self, estimate: Estimate, detail: Detail, accepted: int) -> Frame:
         """SocDetail: what is told beside the SoC, and the cells that are lowest and highest."""
         soc = estimate.soc if estimate.status in _AVAILABLE else NAN
-        if isinstance(soc, float):
-            lowest = highest = NAN if math.isnan(soc) else 1.0
+        if isinstance(soc, float) or np.isnan(soc).all():
+            lowest = highest = 1.0 if isinstance(soc, float) and not math.isnan(soc) else NAN
         else:
-            lowest, highest = 1.0 + int(np.argmin(soc)), 1.0 + int(np.argmax(soc))
+            lowest, highest = 1.0 + int(np.nanargmin(soc)), 1.0 + int(np.nanargmax(soc))
         word = detail.source << self._source_shift | self._slewed(detail.soc_slewed)
         word |= self._min_cell(lowest) | self._max_cell(highest) | self._bias(detail.current_bias_A)
         return self._detail_box.frame(word, accepted)

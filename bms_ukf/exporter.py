@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
-from bms_ukf.records import Fault, PerCell, Status
+from bms_ukf.records import Fault, Status, largest_known, mean_known
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -47,10 +45,10 @@ class Exporter:
 
         daemon, estimate = self._daemon, self._daemon.estimate
         for name, text, value in (
-            ("soc_ratio", "State of charge, mean of the cells", _mean(estimate.soc)),
-            ("soc_sigma_ratio", "Its standard deviation, the largest of the cells", _largest(estimate.soc_sigma)),
-            ("information_age_seconds", "Since a voltage was last used", _largest(estimate.age_s)),
-            ("current_bias_amperes", "What the current sensor shows too much", _mean(estimate.current_bias_A)),
+            ("soc_ratio", "State of charge, mean of the cells", mean_known(estimate.soc)),
+            ("soc_sigma_ratio", "Its standard deviation, the largest of the cells", largest_known(estimate.soc_sigma)),
+            ("information_age_seconds", "Since a voltage was last used", largest_known(estimate.age_s)),
+            ("current_bias_amperes", "What the current sensor shows too much", mean_known(estimate.current_bias_A)),
         ):
             yield GaugeMetricFamily(f"bms_ukf_{name}", text, value)
         status = GaugeMetricFamily("bms_ukf_status", "1 for the present one", labels=["status"])
@@ -72,11 +70,3 @@ class Exporter:
         yield events
         yield CounterMetricFamily("bms_ukf_answers", "Sets of frames sent", daemon.published)
         yield CounterMetricFamily("bms_ukf_samples_accepted", "By the estimator", daemon.estimator.accepted)
-
-
-def _mean(values: PerCell) -> float:
-    return float(np.mean(values))
-
-
-def _largest(values: PerCell) -> float:
-    return float(np.max(values))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Source, Status
+from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Source, Status, mean_known
 
 REST_NS = 600_000_000_000  # so long without a load, and a voltage is that of a rested cell
 REST_C = 0.02  # what is no load, as a share of the capacity per hour
@@ -41,6 +41,7 @@ class Publication:
         self._current_ns: int | None = None
         self._published_ns: int | None = None
         self._moved = 0.0  # SoC, by the charge since the last set
+        self._currents, self._sum_A = 0, 0.0  # since then
 
     def follow(self, sample: Sample, estimate: Estimate) -> None:
         """Take note of a step."""
@@ -49,6 +50,8 @@ class Publication:
         current_A, t_ns = abs(sample.current_A), sample.t_ns
         if current_A < math.inf:
             last_ns, self._current_ns = self._current_ns, t_ns
+            self._currents += 1
+            self._sum_A += sample.current_A
             if last_ns is not None:
                 self._moved += current_A * min((t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
             if current_A > self._load_A:
@@ -78,6 +81,12 @@ class Publication:
         self._slew(estimate, t_ns)
         return self.detail
 
+    def whole(self, estimate: Estimate, t_ns: int) -> Sample:
+        """The set that was completed last as one sample: the mean current and, of each cell, the voltage compared."""
+        current_A = self._sum_A / self._currents if self._currents else NAN
+        self._currents, self._sum_A = 0, 0.0
+        return Sample(t_ns, current_A, estimate.voltage_pred_V + estimate.innovation_V)
+
     def _hold(self, estimate: Estimate) -> None:
         innovation_V = estimate.innovation_V
         if isinstance(innovation_V, float):
@@ -95,7 +104,7 @@ class Publication:
         available = estimate.status in _AVAILABLE
         soc = NAN
         if available:
-            soc = estimate.soc if isinstance(estimate.soc, float) else float(np.mean(estimate.soc))
+            soc = mean_known(estimate.soc)
         shown = self.detail.soc_slewed
         if not math.isnan(shown) and self._published_ns is not None:
             step = self._moved + self.slew_per_s * max(t_ns - self._published_ns, 0) * 1e-9

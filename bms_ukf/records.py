@@ -121,3 +121,16 @@ class Estimate:
     faults: Fault = Fault.NONE
     current_bias_A: PerCell = NAN  # what the current sensor shows too much, positive = discharge; NaN: not estimated
     r0_ohm: PerCell = NAN  # ohmic resistance in the direction of the current, as tracked
+
+
+def mean_known(values: PerCell) -> float:
+    """Over those cells that are not NaN, and NaN without any."""
+    if isinstance(values, float):
+        return values
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else NAN
+
+
+def largest_known(values: PerCell) -> float:
+    """Of those cells that are not NaN, and NaN without any."""
+    return values if isinstance(values, float) else float(np.fmax.reduce(values))

@@ -20,7 +20,6 @@ from bms_ukf.bus import SafeBus, open_bus
 from bms_ukf.config import Config, Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
-from bms_ukf.estimator import Estimator
 from bms_ukf.exporter import Exporter
 from bms_ukf.flight import Recorder
 from bms_ukf.framelog import FrameLog
@@ -75,8 +74,15 @@ class Service:
         self._notify = Notifier()
         config = self._setup.config
         self._bus = self._opened(self._setup)
-        self._estimator = Estimator(self._setup.cell, config.cells, config.estimator)
-        self.daemon = Daemon(self._bus, self._estimator, self._setup.intake(), pace=self._setup.pace, fd=config.bus.fd)
+        self._estimator = self._setup.estimator()
+        self.daemon = Daemon(
+            self._bus,
+            self._estimator,
+            self._setup.intake(),
+            pace=self._setup.pace,
+            fd=config.bus.fd,
+            pack=self._setup.pack_output(self._estimator),
+        )
         self._keeper = self._keeper_of(self._setup)
         self.daemon.witness = self._recorder_of(self._setup)
         self._exporter = self._exporter_of(self._setup)
@@ -138,8 +144,8 @@ class Service:
     def _adopt(self, setup: Setup) -> None:
         """ConfigError, with everything as it was, if that cannot be done."""
         old, new = self._setup.config, setup.config
-        if (self._setup.cell, old.cells, old.estimator) != (setup.cell, new.cells, new.estimator):
-            expected = "the cell, the number of cells and the [estimator] section as they were: restart to change them"
+        if _fixed(self._setup) != _fixed(setup):
+            expected = "the cell, its cells, their wiring and the [estimator] section as before: restart to change them"
             raise ConfigError(self._path, expected=expected)
         witness = self.daemon.witness if old.recorder == new.recorder else self._recorder_of(setup)
         if old.metrics != new.metrics:
@@ -157,8 +163,9 @@ class Service:
             if self._keeper is not None:
                 self._keeper.close()
             self._keeper = self._keeper_of(setup)
+        pack = self.daemon.pack if old.pack == new.pack else setup.pack_output(self._estimator)
         self._setup, self.daemon.witness = setup, witness
-        self.daemon.reconfigure(self._bus, setup.intake(), pace=setup.pace, fd=new.bus.fd)
+        self.daemon.reconfigure(self._bus, setup.intake(), pace=setup.pace, fd=new.bus.fd, pack=pack)
 
     def _opened(self, setup: Setup) -> SafeBus:
         return SafeBus(lambda: open_bus(setup.config.bus, str(self._path), setup.decoder.ids()), self._log)
@@ -219,6 +226,13 @@ def _explanation(setup: Setup) -> str:
         )
     lines += [f"warning: {warning}" for warning in setup.warnings]
     return "\n".join(lines)
+
+
+def _fixed(setup: Setup) -> tuple[object, ...]:
+    """What an estimator is made of."""
+    config, pack = setup.config, setup.config.pack
+    wiring = (pack.sensor_of, pack.string_of) if pack is not None else (None, None)
+    return setup.cell, config.cells, config.estimator, *wiring
 
 
 def _place(name: str, source: Path) -> Path:

@@ -16,7 +16,8 @@ CAN = Path(__file__).parents[1] / "can"
 DATABASE = cantools.database.load_file(CAN / "bms.dbc", strict=True)
 MESSAGES: list[Message] = DATABASE.messages
 SIGNALS = {(message.name, signal.name): signal for message in MESSAGES for signal in message.signals}
-MEASURED = {key: s for key, s in SIGNALS.items() if s.unit or key[1] in {"Nis", "WorstCell", "MinCell", "MaxCell"}}
+COUNTED = {"Nis", "WorstCell", "MinCell", "MaxCell", "DischargeCell", "ChargeCell", "SilentCells", "FirstSilentCell"}
+MEASURED = {key: s for key, s in SIGNALS.items() if s.unit or key[1] in COUNTED}
 NAMES = [message.name for message in MESSAGES]
 
 
@@ -86,6 +87,7 @@ def test_every_measured_signal_has_its_codes_outside_its_range() -> None:
         ("CellVoltages", "Cell", 402),
         ("CellTemperatures", "Sensor", 48),
         ("CellSoc", "Cell", 402),
+        ("CellSigma", "Cell", 402),
     ],
 )
 def test_pages_carry_three_values_each_in_order(name: str, prefix: str, count: int) -> None:
@@ -147,3 +149,13 @@ def test_400_cells_fit_on_a_500_kbit_bus() -> None:
     frames_per_s = pages * 10 + 100 + 16 + 10 * 4
     assert pages <= 134
     assert frames_per_s * 135 < 0.5 * 500_000
+
+
+def test_what_is_published_of_400_cells_is_a_small_share_of_a_500_kbit_bus() -> None:
+    """The README has the number."""
+    a_second = {m.name: 1000 / (m.cycle_time or 0) for m in MESSAGES if m.senders == ["Bms"]}
+    pages = {name: a_second.pop(name) * -(-400 // 3) for name in ("CellSoc", "CellSigma")}
+    frames_per_s = sum(a_second.values()) + sum(pages.values())
+    share = frames_per_s * 135 / 500_000
+    assert share < 0.03
+    assert f"{frames_per_s:.0f}\n  frames a second, {100 * share:.1f} %" in (CAN / "README.md").read_text()

@@ -32,6 +32,7 @@ from bms_ukf.intake import Intake
 from bms_ukf.node import EstimateDecoder, SampleEncoder
 from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.pace import Pace
+from bms_ukf.pack_output import PackOutput
 
 SECOND_NS = 1_000_000_000
 SILENCE_S = 2.5  # between two and three of the samples below, one a second
@@ -40,6 +41,7 @@ SOC_BIT, SIGMA_BIT = 0.0025e-2, 0.0025e-2  # what a bit of the DBC is worth
 VOLTAGE_BIT, INNOVATION_BIT, NIS_BIT, AGE_BIT = 0.0002, 0.0001, 0.01, 0.01
 PACK, CELLS, TEMPERATURES, SOC, QUALITY, STATE = 0x120, 0x121, 0x122, 0x220, 0x221, 0x222
 DETAIL, HEALTH = 0x224, 0x225
+CELL_SOC, PACK_STATE, CELL_SIGMA = 0x223, 0x226, 0x22B
 
 _channels = (f"test-daemon-{k}" for k in itertools.count())
 
@@ -67,6 +69,12 @@ def samples(cell):
 def charge(drive: list[Sample], cell: CellParams) -> float:
     """What a second's drive per sample takes from SoC."""
     return sum(sample.current_A for sample in drive) / 3600 / cell.cell.capacity_Ah
+
+
+def read(frames: list[can.Message]) -> dict[str, dict[str, Any]]:
+    """The last of each message, as cantools reads it."""
+    by_id = {m.frame_id: m for m in own_matrix().sound()}
+    return {by_id[m.arbitration_id].name: by_id[m.arbitration_id].decode(bytes(m.data)) for m in frames}  # type: ignore[misc]
 
 
 class Published(NamedTuple):
@@ -229,13 +237,54 @@ def test_a_pack_is_answered_once_a_scan_and_every_cell_in_turn(cell, monkeypatch
             rig.feed(Sample(k * SECOND_NS, 0.0, voltages, 25.0))
         frames = rig.frames()
         ids = [m.arbitration_id for m in frames]
-        assert ids == [0x223, STATE, QUALITY, SOC] * 8
-        pages = [m.data[1] >> 4 | (m.data[2] & 0x3F) << 4 for m in frames if m.arbitration_id == 0x223]
-        assert pages == [0, 1] * 4
+        assert [i for i in ids if i in {STATE, QUALITY, SOC}] == [STATE, QUALITY, SOC] * 8
+        assert ids[-1] == SOC
+        assert ids.count(PACK_STATE) == 8
+        assert ids.count(CELL_SIGMA) == ids.count(CELL_SOC) == 2, "one of two pages every five seconds"
+        pages = [m.data[1] >> 4 | (m.data[2] & 0x3F) << 4 for m in frames if m.arbitration_id == CELL_SOC]
+        assert pages == [0, 1]
         soc = rig.estimator.step(Sample(9 * SECOND_NS)).soc
         assert isinstance(soc, np.ndarray)
         assert list(soc) == sorted(soc)
         assert soc[-1] > soc[0] + 0.005
+
+
+def test_a_cell_that_is_never_heard_does_not_hide_the_soc_of_the_pack(cell):
+    """Until the others have been heard for the voltage's timeout there is none; from then on it is predicted."""
+    with rig_of(cell, cells=6) as rig:
+        voltages = np.array([3.9, 3.9, math.nan, 3.9, 3.9, 3.88])
+        for k in range(1, 20):
+            rig.feed(Sample(k * SECOND_NS, 2.5, voltages, 25.0))
+        told = read(rig.all_frames())
+    assert told["SocEstimate"]["Status"] == "degraded"
+    assert 0 < told["PackState"]["UsableSoc"] < told["SocEstimate"]["Soc"] + 3
+    assert told["PackState"]["UsableSocSigma"] > 0
+    assert (told["PackTimes"]["SilentCells"], told["PackTimes"]["FirstSilentCell"]) == (1, 3)
+    assert told["PackEnergy"]["RemainingEnergy"] > 0
+    assert told["PackTimes"]["TimeToEmpty"] > 600
+    assert told["PackTimes"]["TimeToFull"] == "NotAvailable"
+    assert told["PackCurrents"]["ChargeCurrent"] < 0 < told["PackCurrents"]["DischargeCurrent"]
+
+
+def test_what_a_pack_gives_is_told_by_the_mean_of_the_currents_and_the_voltages_of_a_whole_scan(cell):
+    """Nine currents to each scan, and each page of voltages in a frame of its own."""
+    with rig_of(cell, cells=6) as rig:
+        rig.feed(Sample(SECOND_NS, 2.0, np.full(6, 3.7), 25.0))
+        for current_A in (1.0, 3.0, 2.0):
+            rig.send(message(*rig.encoder.pack(Sample(0, current_A, 22.2)), stamp_s=1.5))
+        rig.feed(Sample(2 * SECOND_NS, 2.0, np.full(6, 3.7), 25.0))
+        assert rig.daemon.pack.estimate.power_W == pytest.approx(2.0 * 3.7 * 6, rel=1e-3)
+
+
+def test_of_a_single_cell_nothing_of_a_pack_is_sent_unless_asked_for(cell, samples):
+    ids = []
+    for asked in (False, True):
+        with rig_of(cell) as rig:
+            rig.daemon.pack = PackOutput(rig.estimator) if asked else None
+            for sample in samples(3):
+                rig.feed(sample)
+            ids.append({m.arbitration_id for m in rig.all_frames()})
+    assert ids[1] - ids[0] == {0x226, 0x227, 0x228, 0x229, 0x22A}
 
 
 def test_a_fault_of_one_frame_is_told_with_its_scan_though_other_frames_come_after_it(settled, samples):

@@ -48,7 +48,7 @@ def estimate(**values: Any) -> Estimate:
 
 def shown(frame: Frame) -> dict[str, Any]:
     """The signals of a frame of ours as cantools reads them."""
-    names = ["PackMeasurement", "SocEstimate", "SocQuality", "BmsState", "CellSoc", "SocDetail", "BusHealth"]
+    names = ["PackMeasurement", "SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth"]
     return next(m for m in map(own_matrix().message, names) if m.frame_id == frame[0]).decode(frame[2])
 
 
@@ -100,8 +100,8 @@ def test_soc_round_trip_is_within_half_a_bit(soc: float, sigma: float, age: floa
 
 @pytest.mark.parametrize("status", [Status.INITIALISING, Status.INVALID])
 def test_a_soc_that_is_not_trusted_is_not_on_the_bus(status: Status) -> None:
-    for cells, soc in ((1, 0.5), (4, np.full(4, 0.5))):
-        frames = Encoder(cells).encode(estimate(soc=soc, status=status), Detail(), accepted=1)
+    for soc in (0.5, np.full(4, 0.5)):
+        frames = Encoder().encode(estimate(soc=soc, status=status), Detail(), accepted=1)
         values = [(name, str(value)) for frame in frames for name, value in shown(frame).items()]
         socs = {value for name, value in values if name.startswith(("Soc", "Cell"))}
         assert socs == {"NotAvailable"}
@@ -157,27 +157,20 @@ def test_an_estimator_that_never_accepted_anything_does_not_move_a_counter() -> 
     assert len({frame for _ in range(4) for frame in encoder.encode(Estimate(), Detail(), accepted=0)}) == 4
 
 
-def test_a_pack_publishes_mean_spread_worst_cell_and_every_cell_in_turn() -> None:
-    soc = np.array([0.50, 0.52, 0.51, 0.49])
+def test_a_pack_publishes_mean_spread_and_worst_of_the_cells_that_are_known() -> None:
     pack = Estimate(
-        soc=soc,
-        soc_sigma=np.array([0.01, 0.02, 0.01, 0.01]),
-        voltage_pred_V=np.array([3.6, 3.7, 3.6, 3.6]),
-        innovation_V=np.array([0.001, -0.02, NAN, NAN]),
-        nis=np.array([0.1, 9.0, NAN, NAN]),
-        age_s=np.array([0.0, 0.0, 1.0, 1.0]),
+        soc=np.array([NAN, 0.50, 0.52, 0.51, 0.49]),
+        soc_sigma=np.array([NAN, 0.01, 0.02, 0.01, 0.01]),
+        voltage_pred_V=np.array([3.6, 3.6, 3.7, 3.6, 3.6]),
+        innovation_V=np.array([NAN, 0.001, -0.02, NAN, NAN]),
+        nis=np.array([NAN, 0.1, 9.0, NAN, NAN]),
+        age_s=np.array([NAN, 0.0, 0.0, 1.0, 1.0]),
         status=Status.DEGRADED,
     )
-    encoder, cells = Encoder(cells=4), {}
-    for n in (1, 2):
-        page, detail, state, quality, last = encoder.encode(pack, DETAIL, accepted=n)
-        values = shown(page)
-        cells |= {name: value for name, value in values.items() if name.startswith("Cell")}
-    assert [cells[f"Cell{k + 1}"] for k in range(4)] == pytest.approx(soc * 100)
-    assert cells["Cell5"] == "NotAvailable"
+    detail, state, quality, last = Encoder().encode(pack, DETAIL, accepted=1)
     assert (shown(state)["SocMin"], shown(state)["SocMax"]) == (pytest.approx(49.0), pytest.approx(52.0))
-    assert (shown(detail)["MinCell"], shown(detail)["MaxCell"]) == (4, 2)
-    assert (shown(quality)["WorstCell"], shown(quality)["Innovation"]) == (2, pytest.approx(-0.02))
+    assert (shown(detail)["MinCell"], shown(detail)["MaxCell"]) == (5, 3)
+    assert (shown(quality)["WorstCell"], shown(quality)["Innovation"]) == (3, pytest.approx(-0.02))
     assert (shown(last)["Soc"], shown(last)["SocSigma"]) == (pytest.approx(50.5, abs=0.0013), pytest.approx(2.0))
     assert shown(last)["InformationAge"] == pytest.approx(1.0)
 

@@ -91,7 +91,9 @@ MAY_IMPORT = {
     "notify": set(),
     "commissioning": {"cell", "records"},
     "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan", "stuck"},
-    "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "records"},
+    "pack_encoder": {"dbc", "frames", "pack", "records"},
+    "pack_output": {"estimator", "frames", "pack", "pack_encoder", "records"},
+    "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "pack_output", "records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {

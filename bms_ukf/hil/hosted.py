@@ -10,7 +10,6 @@ from bms_ukf import slots, state
 from bms_ukf.clock import StampClock
 from bms_ukf.config import Setup
 from bms_ukf.daemon import Daemon
-from bms_ukf.estimator import Estimator
 from bms_ukf.frames import Frame
 from bms_ukf.hil.cable import Cable, LockstepBus
 from bms_ukf.hil.unit import STATE
@@ -75,10 +74,18 @@ class Hosted:
     def start(self) -> None:
         config = self._setup.config
         setup = Setup(config, self._setup.source)  # a decoder that has seen nothing
-        estimator = Estimator(setup.cell, config.cells, config.estimator)
+        estimator = setup.estimator()
         self._bus = LockstepBus(self._cable, lambda: self._t_ns * 1e-9)
         clock = StampClock(lambda: self._t_ns)
-        self._daemon = Daemon(self._bus, estimator, setup.intake(), clock=clock, pace=setup.pace, fd=config.bus.fd)
+        self._daemon = Daemon(
+            self._bus,
+            estimator,
+            setup.intake(),
+            clock=clock,
+            pace=setup.pace,
+            fd=config.bus.fd,
+            pack=setup.pack_output(estimator),
+        )
         if config.state is not None:
             age_s = config.state.max_age_s
             stored, _ = state.resume(estimator, self.state, self._wall_ns(), self._daemon.now_ns(), age_s)

@@ -23,7 +23,6 @@ from bms_ukf.cell import CellParams
 from bms_ukf.config import Setup
 from bms_ukf.core import Core
 from bms_ukf.errors import ConfigError
-from bms_ukf.estimator import Estimator
 from bms_ukf.records import NAN, Detail, Estimate, Sample
 from bms_ukf.replay.logs import LogClock, frames
 from bms_ukf.replay.rows import Rows
@@ -35,7 +34,7 @@ LEAST_NS = 1_000_000  # a wait of no time would never end
 def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Trace, dict[str, Any]]:
     """Every set that would have been published, and the summary. `cell` takes the place of the configuration's."""
     setup = Setup.load(config, cell)
-    estimator = Estimator(setup.cell, setup.config.cells, setup.config.estimator)
+    estimator = setup.estimator()
     core, clock, told = Core(estimator, setup.intake(), setup.pace), LogClock(), _Published()
     core.witness = told
     begin_s = time.perf_counter()

@@ -7,7 +7,7 @@ from array import array
 
 import numpy as np
 
-from bms_ukf.records import NAN, Estimate, PerCell, Sample
+from bms_ukf.records import NAN, Estimate, PerCell, Sample, largest_known, mean_known
 from bms_ukf.trace import Trace
 
 COLUMNS = (
@@ -35,8 +35,8 @@ class Rows:
 
     def measured(self, sample: Sample) -> None:
         """Take note of what this one carries."""
-        current_A, voltage_V = sample.current_A, _mean(sample.voltage_V)
-        temperature_degC = _mean(sample.temperature_degC)
+        current_A, voltage_V = sample.current_A, mean_known(sample.voltage_V)
+        temperature_degC = mean_known(sample.temperature_degC)
         if not math.isnan(current_A):
             self._current_A = current_A
         if not math.isnan(voltage_V):
@@ -46,7 +46,7 @@ class Rows:
 
     def add(self, t_ns: int, estimate: Estimate) -> None:
         """A row."""
-        nis, sigma = estimate.nis, estimate.soc_sigma
+        nis = estimate.nis
         worst = 0 if isinstance(nis, float) else int(np.argmax(np.nan_to_num(nis, nan=-1.0)))
         self._t_ns.append(t_ns)
         self._values.extend(
@@ -54,11 +54,11 @@ class Rows:
                 self._current_A,
                 self._voltage_V,
                 self._temperature_degC,
-                _mean(estimate.soc),
-                sigma if isinstance(sigma, float) else float(np.max(sigma)),
+                mean_known(estimate.soc),
+                largest_known(estimate.soc_sigma),
                 int(estimate.status),
                 int(estimate.faults),
-                _mean(estimate.current_bias_A),
+                mean_known(estimate.current_bias_A),
                 _of_cell(worst, estimate.voltage_pred_V),
                 _of_cell(worst, estimate.innovation_V),
                 _of_cell(worst, nis),
@@ -70,13 +70,6 @@ class Rows:
         """All rows."""
         columns = np.array(self._values).reshape(-1, len(COLUMNS)).T
         return Trace.of(np.array(self._t_ns), dict(zip(COLUMNS, columns, strict=True)))
-
-
-def _mean(values: PerCell) -> float:
-    if isinstance(values, float):
-        return values
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else NAN
 
 
 def _of_cell(k: int, values: PerCell) -> float:
