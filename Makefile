@@ -23,6 +23,7 @@ lint: .venv/test
 
 plant: .venv/runtime compiler
 	$(BIN)/python -m bms_ukf.fmumaker models/lgm50_spme models/plants/lgm50_spme.fmu
+	$(BIN)/python -m bms_ukf.fmumaker models/pack_96s models/plants/pack_96s.fmu
 
 bench: .venv/test compiler
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

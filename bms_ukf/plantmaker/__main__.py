@@ -25,11 +25,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--model", default="SPMe", help="SPM, SPMe or Thevenin (default SPMe)")
     parser.add_argument("--parameters", default="Chen2020", help="a parameter set of PyBaMM (default Chen2020)")
     parser.add_argument("--thermal", choices=("lumped", "isothermal"), default="lumped")
+    parser.add_argument(
+        "--points",
+        type=_at_least_one,
+        nargs=3,
+        metavar=("E", "S", "P"),
+        help="of the mesh: each electrode, separator, each particle (default 10 4 20)",
+    )
     parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version (default 2)")
     parser.add_argument("--series", type=_at_least_one, metavar="N", help="cells in series, as arrays of N")
     parser.add_argument("--spread-capacity", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
     parser.add_argument("--spread-resistance", type=_sigma, default=0.0, metavar="SIGMA", help="of its own, e.g. 0.1")
     parser.add_argument("--spread-soc", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
+    parser.add_argument("--gradient", type=float, default=0.0, metavar="K", help="of ambient, first to last cell")
+    parser.add_argument("--weak", type=_at_least_one, metavar="CELL", help="capacity -10 %%, resistance +30 %%, SoC -0.05")
     parser.add_argument("--seed", type=int, default=0, help="of the spread")
     parser.add_argument("--soc-initial", type=float, default=0.5)
     parser.add_argument("--sources", type=Path, metavar="DIR", help="keep the C sources and the table there")
@@ -47,6 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _make(given: argparse.Namespace, command: str) -> None:
     if not 0 <= given.soc_initial <= 1:
         raise ConfigError("plantmaker", key="--soc-initial", value=given.soc_initial, expected="0 to 1")
+    if given.weak is not None and given.weak > (given.series or 1):
+        raise ConfigError("plantmaker", key="--weak", value=given.weak, expected="one of the cells of --series")
+    if not -30 <= given.gradient <= 30:
+        raise ConfigError("plantmaker", key="--gradient", value=given.gradient, expected="-30 to 30")
     if find_spec("pybamm") is None:
         raise ConfigError("plantmaker", expected="PyBaMM, which is not there: pip install 'bms-ukf[plant]'")
     os.environ.setdefault("PYBAMM_DISABLE_TELEMETRY", "true")
@@ -55,7 +68,8 @@ def _make(given: argparse.Namespace, command: str) -> None:
         from bms_ukf.fmumaker.build import build
         from bms_ukf.plantmaker import folder, models
 
-        cell = models.load(given.model, given.parameters, given.thermal)
+        points = models.points(*given.points) if given.points else models.FINE
+        cell = models.load(given.model, given.parameters, given.thermal, var_pts=points)
         sources = given.sources or Path(scratch)
         sources.mkdir(parents=True, exist_ok=True)
         cells = f", {given.series} in series" if given.series else ""
@@ -66,7 +80,14 @@ def _make(given: argparse.Namespace, command: str) -> None:
             description=f"{given.model} cell, parameter set {given.parameters}, {given.thermal}{cells}",
             reference="PyBaMM; see documentation/README.md",
             series=given.series,
-            spread=folder.Spread(given.spread_capacity, given.spread_resistance, given.spread_soc, given.seed),
+            spread=folder.Spread(
+                capacity=given.spread_capacity,
+                resistance=given.spread_resistance,
+                soc=given.spread_soc,
+                seed=given.seed,
+                gradient_K=given.gradient,
+                weak=given.weak,
+            ),
             soc_initial=given.soc_initial,
         )
         (sources / "README.md").write_text(folder.page(cell, command), encoding="utf-8")

@@ -6,27 +6,49 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bms_ukf.plantmaker import codegen
 from bms_ukf.plantmaker.models import Cell
 
 LARGEST_C_RATE = 10.0
 AT_K, AT_SOC = 298.15, 0.5  # where a cell's resistance is taken
+WEAK_CAPACITY, WEAK_RESISTANCE, WEAK_SOC = -0.10, 0.30, -0.05  # shares of its own, and SoC
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How the cells of a string differ: standard deviations, drawn from `seed` by a generator for each quantity."""
+    """How the cells of a string differ.
+
+    Standard deviations, drawn from `seed` by a generator for each quantity; on top of them the ambient temperature
+    rises evenly from the first cell to the last, and one cell is weak.
+    """
 
     capacity: float = 0.0  # of the capacity
     resistance: float = 0.0  # of the cell's own at 25 degC and half charge, in series with it
     soc: float = 0.0
     seed: int = 0
+    gradient_K: float = 0.0  # of the ambient temperature, from the first cell to the last
+    weak: int | None = None  # the cell, counted from 1, that WEAK_CAPACITY, WEAK_RESISTANCE and WEAK_SOC are added to
 
     def draw(self, name: str, sigma: float, cells: int) -> list[float]:
         """`sigma` times normal numbers, one a cell, cut at three sigmas."""
         drawn = np.random.default_rng([self.seed, *name.encode()]).standard_normal(cells)
-        return [round(float(value), 7) + 0.0 for value in sigma * drawn.clip(-3, 3)]  # + 0.0: no minus zero
+        return _rounded(sigma * drawn.clip(-3, 3))
+
+    def values(self, name: str, sigma: float, weakness: float, cells: int) -> list[float]:
+        """What is drawn, with `weakness` added to the weak cell's."""
+        found = self.draw(name, sigma, cells)
+        if self.weak is not None:
+            found[self.weak - 1] += weakness
+        return _rounded(found)
+
+    def ambient_offsets_K(self, cells: int) -> list[float]:
+        return _rounded(np.linspace(0.0, self.gradient_K, cells))
+
+
+def _rounded(values: ArrayLike) -> list[float]:
+    return [round(float(value), 7) + 0.0 for value in np.asarray(values)]  # + 0.0: no minus zero
 
 
 def resistance_ohm(cell: Cell) -> float:
@@ -51,9 +73,10 @@ def write(
     """Writes cell.c, cell.h and fmu.toml into `folder`. `series` cells give arrays; None: one cell, and scalars."""
     codegen.write(cell, folder)
     spread, cells = spread or Spread(), series or 1
-    capacity = [round(1 + value, 7) for value in spread.draw("capacity", spread.capacity, cells)]
-    extra_ohm = spread.draw("resistance", spread.resistance * resistance_ohm(cell) if spread.resistance else 0.0, cells)
-    offsets = spread.draw("soc", spread.soc, cells)
+    own_ohm = resistance_ohm(cell) if spread.resistance or spread.weak else 0.0
+    capacity = _rounded([1 + value for value in spread.values("capacity", spread.capacity, WEAK_CAPACITY, cells)])
+    extra_ohm = spread.values("resistance", spread.resistance * own_ohm, WEAK_RESISTANCE * own_ohm, cells)
+    offsets = spread.values("soc", spread.soc, WEAK_SOC, cells)
     largest_A = LARGEST_C_RATE * cell.nominal_Ah
     low_V, high_V = cell.voltage_limits_V
 
@@ -61,7 +84,8 @@ def write(
         return str(values) if series else str(values[0])
 
     array = f"\nelements = {series}" if series else ""
-    of_cells = '"capacity_factor", "resistance_ohm", "soc_offset"'
+    of_cells = '"capacity_factor", "resistance_ohm", "soc_offset", "ambient_offset_K"'
+    ambient = '"ambient_degC", "ambient_offset_K"'
     (folder / "fmu.toml").write_text(f'''# Written by bms_ukf.plantmaker; bms_ukf/fmumaker/table.py explains it.
 
 [model]
@@ -79,6 +103,7 @@ A = {{ A = 1 }}
 V = {{ kg = 1, m = 2, s = -3, A = -1 }}
 ohm = {{ kg = 1, m = 2, s = -3, A = -2 }}
 degC = {{ K = 1, offset = 273.15 }}
+K = {{ K = 1 }}
 1 = {{}}
 
 [[variable]]
@@ -112,8 +137,8 @@ name = "temperature_degC"
 causality = "output"
 unit = "degC"{array}
 description = "cell temperature ({cell.thermal})"
-feedthrough = [{'"ambient_degC"' if cell.thermal == "isothermal" else ""}]
-at_start = ["ambient_degC"]
+feedthrough = [{ambient if cell.thermal == "isothermal" else ""}]
+at_start = [{ambient}]
 
 [[variable]]
 name = "soc"
@@ -158,6 +183,15 @@ start = {start(extra_ohm)}
 min = -1.0
 max = 10.0
 description = "in series with the cell, besides its own; makes no heat"
+
+[[variable]]
+name = "ambient_offset_K"
+causality = "parameter"
+unit = "K"{array}
+start = {start(spread.ambient_offsets_K(cells))}
+min = -50.0
+max = 50.0
+description = "added to ambient_degC"
 ''')
 
 

@@ -13,7 +13,7 @@ import pybamm
 
 from bms_ukf.errors import ConfigError
 
-ELECTRODE_POINTS, SEPARATOR_POINTS, PARTICLE_POINTS, PARTICLE_STRETCH = 10, 4, 20, 3.0
+PARTICLE_STRETCH = 3.0
 INPUTS = ["Current function [A]", "Ambient temperature [K]", "soc_initial"]
 SOC_MARGIN = 1e-6  # lets a Thevenin start full or empty
 # Charge counters that nothing in the models depends on.
@@ -39,6 +39,14 @@ class Cell:
     voltage_limits_V: tuple[float, float]
     out_of_range: str
     guards: Callable[[Any, Any], Any]  # of the state and the outputs: what has to stay above 0
+
+
+def points(electrode: int, separator: int, particle: int) -> dict[str, int]:
+    """A mesh, as pybamm.Simulation takes it by the name of `var_pts`."""
+    return {"x_n": electrode, "x_s": separator, "x_p": electrode, "r_n": particle, "r_p": particle}
+
+
+FINE = points(10, 4, 20)
 
 
 def load(model: str, parameter_set: str, thermal: str = "lumped", **options: Any) -> Cell:
@@ -101,14 +109,7 @@ def _particle(model: str, values: Any, parameter_set: str, thermal: str, options
         submeshes[particle] = pybamm.MeshGenerator(
             pybamm.Exponential1DSubMesh, {"side": "right", "stretch": PARTICLE_STRETCH}
         )
-    points = {
-        "x_n": ELECTRODE_POINTS,
-        "x_s": SEPARATOR_POINTS,
-        "x_p": ELECTRODE_POINTS,
-        "r_n": PARTICLE_POINTS,
-        "r_p": PARTICLE_POINTS,
-    }
-    settings = {"parameter_values": values, "var_pts": points, "submesh_types": submeshes} | options
+    settings = {"parameter_values": values, "var_pts": FINE, "submesh_types": submeshes} | options
     charge_Ah = values.evaluate(built.param.n.Q_init)
     return Cell(
         model=model,

@@ -1,7 +1,8 @@
-/* Cells in series that share a current and an ambient temperature; the equations of one are in cell.c.
+/* Cells in series that share a current; the equations of one are in cell.c.
 
    A cell k of capacity_factor c and resistance_ohm r is c times the cell of the equations in parallel, so that it takes
-   the current I / c, with a resistance r in series: v = v_cell(I / c) - r I. */
+   the current I / c, with a resistance r in series: v = v_cell(I / c) - r I. Its ambient temperature is the common one
+   plus its ambient_offset_K. */
 #include "model.h"
 
 #include "rkc.h"
@@ -32,7 +33,7 @@ static Inputs inputs(const Model *m, int cell)
     const double *value = m->value;
     return (Inputs){{
         value[CURRENT_A] / value[CAPACITY_FACTOR + cell],
-        value[AMBIENT_DEGC] + 273.15,
+        value[AMBIENT_DEGC] + value[AMBIENT_OFFSET_K + cell] + 273.15,
         value[SOC_INITIAL] + value[SOC_OFFSET + cell],
     }};
 }
