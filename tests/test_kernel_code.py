@@ -258,7 +258,7 @@ def test_no_two_slots_of_a_buffer_share_a_place(prefix, wide, size):
         if name.startswith(prefix)
         for offset in range(wide.get(name, 1))
     ]
-    first = layout.IN_OFFSET + 1 if prefix == "OUT_" else 0  # the IN_* rows come first
+    first = layout.IN_BLEED + 1 if prefix == "OUT_" else 0  # the IN_* rows come first
     assert sorted(taken) == list(range(first, size))
 
 
