@@ -11,6 +11,9 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bms_ukf.commissioning import Commissioning
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
@@ -22,6 +25,7 @@ from bms_ukf.stuck import Stuck
 
 FAULT_HOLD_NS = 1_000_000_000
 PATIENCE_NS = 100_000_000  # between two looks at what is due: how long a request to stop may wait
+Cells = NDArray[np.intp]
 _IMPLAUSIBLE = int(Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE)
 
 
@@ -100,18 +104,20 @@ class Core:
         estimate, witness = self.estimate, self.witness
         for sample in samples:
             self.stuck.take(sample)
-            if _is_empty(sample):  # its sender lives, and knows nothing: no reason to look alive
+            voltage = sample.voltage_V
+            heard = None if isinstance(voltage, float) else (voltage == voltage).nonzero()[0]  # noqa: PLR0124 - not NaN
+            if _is_empty(sample, heard):  # its sender lives, and knows nothing: no reason to look alive
                 self._coast(sample.t_ns)
-                self.publication.follow(sample, estimate)
+                self.publication.follow(sample, estimate, heard)
                 continue
             self.estimator.step(sample, out=estimate)
             if witness is not None:
                 witness.stepped(sample, estimate)
-            self.publication.follow(sample, estimate)
+            self.publication.follow(sample, estimate, heard)
             if not (int(estimate.faults) | int(self.stuck.fault)) & _IMPLAUSIBLE:
                 self.commissioning.see(sample)
             self._stepped = True
-            if self._scan.ends_with(sample) and not self._periodic:
+            if self._scan.ends_with(voltage if heard is None else heard) and not self._periodic:
                 self._publish(sample.t_ns + self.intake.behind_ns)
 
     def _coast(self, t_ns: int) -> None:
@@ -149,11 +155,11 @@ class _Recent:
         return self._bit if t_ns < self._until_ns else 0
 
 
-def _is_empty(sample: Sample) -> bool:
-    """Whether nothing was measured."""
+def _is_empty(sample: Sample, heard: Cells | None) -> bool:
+    """Whether nothing was measured; `heard` are the cells whose voltages were, None for a single one."""
     if sample.current_A == sample.current_A:
         return False
-    return not (_measured(sample.voltage_V) or _measured(sample.temperature_degC))
+    return not (_measured(sample.voltage_V) if heard is None else heard.size) and not _measured(sample.temperature_degC)
 
 
 def _measured(values: PerCell) -> bool:

@@ -26,6 +26,7 @@ from bms_ukf.wiring import Wiring
 
 _STATUS = tuple(Status)
 _HIDDEN = tuple(status in {Status.INITIALISING, Status.INVALID} for status in Status)  # no SoC that could be shown
+_FIRST_SHOWN, _FIRST_INVALID = (status << STATUS_SHIFT for status in (Status.OK, Status.INVALID))  # of a cell's codes
 _FAULTS = tuple(Fault(bits) for bits in range(2 * max(Fault)))  # making one costs more than the filter step
 _NUMERIC = int(Fault.NUMERIC)
 _BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; numbers follow
@@ -266,8 +267,9 @@ class Estimator(PerCell):
             for name, row in _SHOWN.items():
                 getattr(estimate, name)[:] = self._io[row]
             if status != Status.OK:
-                hide = np.array(_HIDDEN)[self.cell_status] | hidden
-                estimate.soc[hide] = estimate.soc_sigma[hide] = math.nan  # type: ignore[index]
+                codes = self._io[layout.OUT_CODE]  # NaN before the first step
+                shown = (codes >= _FIRST_SHOWN) & (codes < _FIRST_INVALID) & (not hidden)
+                estimate.soc[~shown] = estimate.soc_sigma[~shown] = math.nan  # type: ignore[index]
             return
         row = self._row
         if hidden:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Source, Status, mean_known
 
@@ -43,8 +44,8 @@ class Publication:
         self._moved = 0.0  # SoC, by the charge since the last set
         self._currents, self._sum_A = 0, 0.0  # since then
 
-    def follow(self, sample: Sample, estimate: Estimate) -> None:
-        """Take note of a step."""
+    def follow(self, sample: Sample, estimate: Estimate, heard: NDArray[np.intp] | None = None) -> None:
+        """Take note of a step. Of a pack, `heard` are the cells that the sample has voltages of."""
         faults = int(estimate.faults)  # the operators of an enumeration take as long as the filter's step
         self._passed |= faults & PASSING
         current_A, t_ns = abs(sample.current_A), sample.t_ns
@@ -58,8 +59,8 @@ class Publication:
                 self._load_ns = t_ns
         if faults & _CURRENT_MISSING or self._load_ns is None:
             self._load_ns = t_ns
-        self._hold(estimate)
-        if _fused(estimate.age_s) and estimate.status in _AVAILABLE:
+        self._hold(estimate, heard)
+        if _fused(estimate.age_s, heard) and estimate.status in _AVAILABLE:
             first = self.detail.source is Source.NONE
             rested = t_ns - self._load_ns >= REST_NS
             self.detail.source = Source.START if first else Source.REST if rested else Source.VOLTAGE
@@ -87,18 +88,17 @@ class Publication:
         self._currents, self._sum_A = 0, 0.0
         return Sample(t_ns, current_A, estimate.voltage_pred_V + estimate.innovation_V)
 
-    def _hold(self, estimate: Estimate) -> None:
+    def _hold(self, estimate: Estimate, heard: NDArray[np.intp] | None) -> None:
         innovation_V = estimate.innovation_V
         if isinstance(innovation_V, float):
             if not math.isnan(innovation_V):
                 self._held = estimate.voltage_pred_V, innovation_V, estimate.nis
-            return
-        compared = ~np.isnan(innovation_V)
-        if compared.any():
+        elif heard is not None and heard.size:
+            compared = heard[~np.isnan(innovation_V[heard])]
             if self._held is None:
                 self._held = tuple(np.full(len(innovation_V), NAN) for _ in _COMPARED)
             for kept, name in zip(self._held, _COMPARED, strict=True):
-                np.copyto(kept, getattr(estimate, name), where=compared)  # type: ignore[arg-type]
+                kept[compared] = getattr(estimate, name)[compared]  # type: ignore[index]
 
     def _slew(self, estimate: Estimate, t_ns: int) -> None:
         available = estimate.status in _AVAILABLE
@@ -113,6 +113,8 @@ class Publication:
         self._published_ns, self._moved = t_ns, 0.0
 
 
-def _fused(age_s: PerCell) -> bool:
+def _fused(age_s: PerCell, heard: NDArray[np.intp] | None) -> bool:
     """Whether a voltage was used with this very step."""
-    return age_s == 0.0 if isinstance(age_s, float) else bool((age_s == 0.0).any())
+    if isinstance(age_s, float):
+        return age_s == 0.0
+    return heard is not None and 0.0 in age_s[heard].tolist()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from bms_ukf.records import Sample
+from numpy.typing import NDArray
 
 
 class Scan:
@@ -15,19 +14,21 @@ class Scan:
     """
 
     def __init__(self, cells: int) -> None:
-        self._seen = np.zeros(cells, bool)
+        self._cells, self._seen = cells, set[int]()
 
-    def ends_with(self, sample: Sample) -> bool:
-        """Whether this sample completes the scan, or shows that the one before it was over."""
-        voltage = sample.voltage_V
-        if isinstance(voltage, float):
-            return voltage == voltage  # noqa: PLR0124 - not NaN, in a tenth of the time
-        fresh = ~np.isnan(voltage)
-        if bool((fresh & self._seen).any()):
-            self._seen[:] = fresh
+    def ends_with(self, heard: float | NDArray[np.intp]) -> bool:
+        """Whether this sample completes the scan, or shows that the one before it was over.
+
+        `heard` is the voltage of a single cell, NaN if there is none; of several cells it is which have one.
+        """
+        if isinstance(heard, float):
+            return heard == heard  # noqa: PLR0124 - not NaN, in a tenth of the time
+        fresh = heard.tolist()
+        if not self._seen.isdisjoint(fresh):
+            self._seen = set(fresh)
             return True
-        self._seen |= fresh
-        if self._seen.all():
-            self._seen[:] = False
+        self._seen.update(fresh)
+        if len(self._seen) == self._cells:
+            self._seen.clear()
             return True
         return False

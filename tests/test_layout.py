@@ -84,6 +84,7 @@ MAY_IMPORT = {
     "publication": {"records"},
     "pace": set(),
     "framelog": {"errors"},
+    "scan": set(),
     "monitor": CODEC | {"bus", "config", "errors", "metrics", "monitor", "records", "view"},
     "flight": {"estimator", "records"},
     "slots": set(),

@@ -120,7 +120,7 @@ def test_a_pack_is_compared_cell_by_cell_over_a_whole_scan_and_not_its_last_page
         for name in ("voltage_pred_V", "innovation_V", "nis"):
             getattr(shown, name)[:] = NAN
         shown.innovation_V[page], shown.nis[page] = innovation, (innovation / 0.005) ** 2
-        publication.follow(Sample(0, voltage_V=np.full(4, 3.7)), shown)
+        publication.follow(Sample(0, voltage_V=np.full(4, 3.7)), shown, np.arange(page.start, page.stop))
     publication.complete(shown, 0)
     assert shown.innovation_V.tolist() == [0.02, 0.02, 0.001, 0.001]
     assert int(np.argmax(shown.nis)) == 0, "the worst cell was on the first page"

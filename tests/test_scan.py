@@ -6,15 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from bms_ukf.records import Sample
 from bms_ukf.scan import Scan
 
 
-def page(*cells: int, of: int = 6) -> Sample:
-    voltage = np.full(of, math.nan)
-    voltage[list(cells)] = 3.7
-    return Sample(0, voltage_V=voltage)
+def page(*cells: int) -> NDArray[np.intp]:
+    return np.array(cells, dtype=np.intp)
 
 
 @pytest.mark.parametrize(
@@ -28,11 +26,11 @@ def page(*cells: int, of: int = 6) -> Sample:
         ([page(), page(0), page()], [False, False, False]),
     ],
 )
-def test_the_end_of_a_scan(pages: list[Sample], ends: list[bool]) -> None:
+def test_the_end_of_a_scan(pages: list[NDArray[np.intp]], ends: list[bool]) -> None:
     scan = Scan(6)
-    assert [scan.ends_with(sample) for sample in pages] == ends
+    assert [scan.ends_with(heard) for heard in pages] == ends
 
 
 def test_every_voltage_of_a_single_cell_is_a_scan() -> None:
     scan = Scan(1)
-    assert [scan.ends_with(Sample(0, voltage_V=v)) for v in (3.7, math.nan, 3.7)] == [True, False, True]
+    assert [scan.ends_with(v) for v in (3.7, math.nan, 3.7)] == [True, False, True]

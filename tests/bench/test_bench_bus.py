@@ -63,6 +63,12 @@ def resident_MB(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def cpu_s(pid: int) -> float:
+    """User and system time of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def sample(cells: int) -> Sample:
     return Sample(0, 1.0, 3.7 if cells == 1 else np.full(cells, 3.7), 25.0)
 
@@ -86,6 +92,25 @@ def test_latency_from_the_last_voltage_frame_to_the_soc_frame(cells: int, capsys
             f"\n{cells:3d} cells: voltage frame to SoC frame {median:.0f} us, 99 % {p99:.0f} us, 99.9 % {p999:.0f} us"
         )
     assert median < 10_000
+
+
+def test_a_pack_at_10_hz_takes_a_small_share_of_one_core(capsys: pytest.CaptureFixture[str]) -> None:
+    """Current and all voltages ten times a second, the temperature once; all that is published of a pack is."""
+    cells, scans = 96, 100
+    encoder, known = SampleEncoder(cells), sample(cells)
+    with daemon(cells) as (bus, pid):
+        send(bus, encoder.encode(known))
+        answer(bus)
+        before_s, begin_s = cpu_s(pid), time.perf_counter()
+        for scan in range(1, scans + 1):
+            time.sleep(max(begin_s + 0.1 * scan - time.perf_counter(), 0.0))
+            send(bus, [encoder.pack(known), *(encoder.temperatures(known) if scan % 10 == 0 else ())])
+            send(bus, encoder.voltages(known))
+            answer(bus)
+        share = (cpu_s(pid) - before_s) / (time.perf_counter() - begin_s)
+    with capsys.disabled():
+        print(f"\n{cells} cells at 10 Hz, {34 * 10} frames/s in: {100 * share:.1f} % of one core")
+    assert share < 0.05
 
 
 def test_frames_a_second_without_loss_and_memory(capsys: pytest.CaptureFixture[str]) -> None:
