@@ -38,8 +38,8 @@ def machines_here() -> list[str]:
 def export(cell: CellParams, fmu: Path, fmi: int = 2, cells: int = 1, tuning: Tuning | None = None) -> list[str]:
     """Write the float64 estimator of `cells` cells as `fmu`, for FMI 2.0 (`fmi` = 2) or 3.0 (3).
 
-    Returns the machines it runs on, as FMI 3.0 calls them. BuildError if there is no C compiler, ConfigError if the
-    file cannot be written.
+    Returns the machines it runs on, as FMI 3.0 calls them. ConfigError if there is no C compiler, or the file
+    cannot be written.
     """
     require_compiler(HERE)  # before half a minute of compiling
     with tempfile.TemporaryDirectory() as folder:

@@ -54,7 +54,7 @@ MACHINES = {
 
 
 class BuildError(BmsError):
-    """The C compiler is not there, or does not take the sources."""
+    """The C compiler does not take the sources."""
 
 
 def compiler(machine: str) -> str:
@@ -63,18 +63,18 @@ def compiler(machine: str) -> str:
 
 
 def require_compiler(machine: str) -> None:
-    """Raises BuildError if there is none."""
+    """Raises ConfigError if there is none."""
     if shutil.which(compiler(machine)) is None:
-        raise BuildError(
-            f"{compiler(machine)}: no such C compiler; install one (apt install gcc libc6-dev) or name it in CC"
+        raise ConfigError(
+            compiler(machine), expected="a C compiler; install one (apt install gcc libc6-dev) or name it in CC"
         )
 
 
 def build(folder: Path, fmu: Path, fmi: int = 2, machines: Sequence[str] = (HERE,)) -> None:
     """Writes `fmu`, for FMI 2.0 (`fmi` = 2) or 3.0 (3), from the model in `folder`, to run on `machines`.
 
-    Raises ConfigError for a fmu.toml that is not sound or names a file that is not there, BuildError if there is no
-    compiler or it fails.
+    Raises ConfigError if there is no compiler, and for a fmu.toml that is not sound or names a file that is not there;
+    BuildError if the compiler fails.
     """
     for machine in machines:
         require_compiler(machine)
