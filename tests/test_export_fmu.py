@@ -1,7 +1,7 @@
 """The estimator as an FMU: the Python one to rounding, in FMI 2.0 and 3.0, here and on aarch64, and no Python in it.
 
-What runs on aarch64, under QEMU, is `pil/fmu.c`. Without the tools for that it is not run and the test says so, which is
-an error only if REQUIRE_PIL=1, as in CI.
+What runs on aarch64, under QEMU, is `pil/fmu.c`. Without the tools for that it is not run and the test says so, which
+is an error only if REQUIRE_PIL=1, as in CI.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,9 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
-from bms_ukf import CellParams, Estimator, Fault, Sample, Status, toml
+from bms_ukf import CellParams, Estimator, Fault, Sample, Status
 from bms_ukf.estimator_fmu.package import machines_here, write
 from bms_ukf.fmumaker.build import HERE, build
-from bms_ukf.fmumaker.table import Table
 
 PIL = Path(__file__).parent / "pil" / "fmu.c"
 PLANT = Path(__file__).resolve().parents[1] / "models" / "plants" / "lgm50_spme.fmu"
@@ -255,12 +254,33 @@ def test_on_aarch64_it_is_the_same(folder, tmp_path, measured, expected):
     np.testing.assert_array_equal(found, here)
 
 
-def test_several_cells_are_arrays(cell, tmp_path, monkeypatch):
-    monkeypatch.setattr("bms_ukf.firmware.export", lambda *_: None)
+def test_several_cells_are_arrays_of_estimators_of_one_cell_each(cell, unpacked, measured, tmp_path):
     write(cell, tmp_path, [HERE], cells=3)
-    sizes = {v.name: v.size for v in toml.load(tmp_path / "fmu.toml", Table).variable}
-    several = {"voltage_V", "temperature_degC", "soc", "soc_sigma", "innovation_V", "voltage_pred_V"}
-    assert sizes == dict.fromkeys(several, 3) | dict.fromkeys(("current_A", "status", "faults"), 1)
+    fmi = int(unpacked.name[-1])
+    build(tmp_path, tmp_path / "three.fmu", fmi)
+    assert validate_fmu(str(tmp_path / "three.fmu")) == []
+    fmpy.extract(tmp_path / "three.fmu", tmp_path / "three")
+    variables = {v.name: v.valueReference for v in fmpy.read_model_description(tmp_path / "three").modelVariables}
+    offsets_V = [0.0, -0.02, 0.01]
+    with instance(tmp_path / "three") as three, ExitStack() as stack:
+        alone = [stack.enter_context(instance(unpacked)) for _ in offsets_V]
+        for k, (current, voltage, temperature) in enumerate(measured[:150]):
+            values = [current, *(voltage + offset for offset in offsets_V), *[temperature] * 3]
+            if fmi == 2:
+                three.setReal([*range(7)], values)
+            else:
+                three.setFloat64([variables[name] for name in ("current_A", "voltage_V", "temperature_degC")], values)
+            three.doStep(k * STEP_S, STEP_S)
+            ones = [
+                step(one, k, np.array([current, voltage + offset, temperature]))
+                for one, offset in zip(alone, offsets_V, strict=True)
+            ]
+        if fmi == 2:
+            found = three.getReal([variables[f"soc[{k}]"] for k in (1, 2, 3)])
+        else:
+            found = three.getFloat64([variables["soc"]], 3)
+    assert found == [one[0] for one in ones]
+    assert len({*found}) == 3
 
 
 def test_a_missing_compiler_costs_one_line_and_no_half_minute(bms_ukf, tmp_path, monkeypatch):
