@@ -64,6 +64,7 @@ MAY_IMPORT = {
     "sensors": {"errors", "records"},
     "fmumaker": {"errors", "fmumaker", "toml"},
     "plantmaker": {"errors", "fmumaker", "plantmaker"},
+    "estimator_fmu": {"__version__", "cell", "estimator_fmu", "firmware", "fmumaker", "tuning"},
     "faults": {"dbc", "e2e", "faults", "frames", "records", "toml"},
     "expectations": {"expectations", "faults", "metrics", "plant", "records", "toml", "trace"},
     "hil": CODEC

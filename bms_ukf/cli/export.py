@@ -51,3 +51,23 @@ def export_firmware(
     tuning = None if config is None else toml.load(config, Config).estimator
     firmware.export(CellParams.load(cell), out, target, precision, cells, tuning, tables)
     click.echo((out / "size.txt").read_text(encoding="utf-8"), nl=False)
+
+
+@export.command("fmu")
+@click.argument("cell")
+@click.option("--fmi", type=click.IntRange(2, 3), default=2, show_default=True, help="Version: 2.0 or 3.0.")
+@click.option("--cells", type=click.IntRange(1, 1000), default=1, show_default=True, help="In series, one filter each.")
+@click.option("--config", type=PATH, help="CONFIG.toml: its [estimator] section.")
+@click.option("--out", type=PATH, required=True, help="The .fmu to write.")
+def export_fmu(cell: str, fmi: int, cells: int, config: Path | None, out: Path) -> None:
+    """Write a CELL's estimator as a co-simulation FMU without Python; needs a C compiler."""
+    from bms_ukf import estimator_fmu, toml
+    from bms_ukf.cell import CellParams
+    from bms_ukf.config import Config
+    from bms_ukf.fmumaker.build import MACHINES, compiler
+
+    tuning = None if config is None else toml.load(config, Config).estimator
+    made = estimator_fmu.export(CellParams.load(cell), out, fmi, cells, tuning)
+    click.echo(f"{out}: {out.stat().st_size} bytes, for {', '.join(made)}")
+    for name in MACHINES.keys() - set(made):
+        click.echo(f"not for {name}: no {compiler(name)} here")

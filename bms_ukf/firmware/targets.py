@@ -28,7 +28,7 @@ class Target(NamedTuple):
     def machine(self) -> llvm.TargetMachine:
         """LLVM's code generator for it."""
         found = llvm.Target.from_triple(self.triple)
-        relocation = "pic" if self.triple == llvm.get_default_triple() else "static"
+        relocation = "static" if self.gcc else "pic"  # firmware lies at a fixed place, a shared library anywhere
         return found.create_target_machine(self.cpu, self.features, 2, relocation, "small", abiname=self.abi)
 
 
@@ -57,6 +57,8 @@ TARGETS = {
         "rv32imafc, ilp32f",
         "-march=rv32imafc -mabi=ilp32f",
     ),
+    "aarch64-linux": Target("aarch64-unknown-linux-gnu", "generic", "", "", "AAPCS64, position independent", ""),
+    "x86_64-linux": Target("x86_64-unknown-linux-gnu", "x86-64", "", "", "System V, position independent", ""),
     # Any processor of this machine's kind, with no vectors: what a test of the export compares with.
     "host": Target(llvm.get_default_triple(), "", "", "", f"{llvm.get_default_triple()}, position independent", ""),
 }

@@ -59,7 +59,8 @@ class _Description:
 
 
 def _kind(v: Variable) -> dict[str, str]:
-    kind = {"causality": v.causality, "variability": "fixed" if v.causality == "parameter" else "continuous"}
+    variability = "fixed" if v.causality == "parameter" else "continuous" if v.type == "real" else "discrete"
+    kind = {"causality": v.causality, "variability": variability}
     if v.causality != "input":
         kind["initial"] = "calculated" if v.start is None else "exact"
     return kind
@@ -67,7 +68,8 @@ def _kind(v: Variable) -> dict[str, str]:
 
 def _limits(v: Variable) -> dict[str, str]:
     limits = {"min": v.min, "max": v.max}
-    return {"unit": v.unit} | {key: str(value) for key, value in limits.items() if value is not None}
+    unit = {"unit": v.unit} if v.type == "real" else {}
+    return unit | {key: str(value) for key, value in limits.items() if value is not None}
 
 
 class _Fmi2(_Description):
@@ -87,16 +89,18 @@ class _Fmi2(_Description):
             canGetAndSetFMUstate="true",
             canSerializeFMUstate="true",
         )
-        files = ET.SubElement(slave, "SourceFiles")
-        for name in all_sources(self.table, 2):
-            ET.SubElement(files, "File", name=Path(name).name)
+        if not self.model.objects:
+            files = ET.SubElement(slave, "SourceFiles")
+            for name in all_sources(self.table, 2):
+                ET.SubElement(files, "File", name=Path(name).name)
         self.add_units(root)
         self.add_experiment(root)
         described = ET.SubElement(root, "ModelVariables")
         for place, (v, name, k) in enumerate(scalars):
             attributes = {"name": name, "valueReference": str(place), "description": v.description} | _kind(v)
             start = {"start": str(v.starts[k])} if v.starts else {}
-            ET.SubElement(ET.SubElement(described, "ScalarVariable", attributes), "Real", _limits(v) | start)
+            scalar = ET.SubElement(described, "ScalarVariable", attributes)
+            ET.SubElement(scalar, v.type.capitalize(), _limits(v) | start)
         structure = ET.SubElement(root, "ModelStructure")
         for title in ("Outputs", "InitialUnknowns"):
             unknowns = ET.SubElement(structure, title)
@@ -134,7 +138,8 @@ class _Fmi3(_Description):
         for v in self.table.variable:
             attributes = {"name": v.name, "valueReference": places[v.name], "description": v.description} | _kind(v)
             start = {"start": " ".join(map(str, v.starts))} if v.starts else {}
-            element = ET.SubElement(described, "Float64", attributes | _limits(v) | start)
+            type_name = "Float64" if v.type == "real" else "Int32"
+            element = ET.SubElement(described, type_name, attributes | _limits(v) | start)
             if v.elements is not None:
                 ET.SubElement(element, "Dimension", start=str(v.elements))
         ET.SubElement(

@@ -9,6 +9,8 @@
     stop_s = 3600.0
     sources = ["plant.c", "cell.c"]     # from the folder of this file, or from those that the package shares
     headers = ["state.h", "cell.h"]
+    objects = []                        # compiled already: for each machine in a folder called as in FMI 3.0
+                                        # (aarch64-linux), with headers of its own; the FMU then carries no sources
 
     [units]                             # exponents of the SI base units; factor and offset turn the unit into them
     degC = { K = 1, offset = 273.15 }
@@ -22,7 +24,8 @@
     feedthrough = ["current_A"]         # what an output depends on besides the state
     at_start = ["current_A", "soc_initial"]     # what its initial value depends on
 
-Inputs and parameters have `start` (of an array a list), `min` and `max`.
+Inputs and parameters have `start` (of an array a list), `min` and `max`; `missing = true` lets an input be NaN as well.
+An output may be of `type = "integer"`.
 """
 
 from __future__ import annotations
@@ -47,19 +50,22 @@ class Model(toml.Section):
     stop_s: float = Field(gt=0)
     sources: list[str] = Field(min_length=1)
     headers: list[str]
+    objects: list[str] = Field(default_factory=list)
 
 
 class Variable(toml.Section):
-    """[[variable]]: a Real of FMI 2.0, a Float64 of FMI 3.0."""
+    """[[variable]]: a Real or an Integer of FMI 2.0, a Float64 or an Int32 of FMI 3.0."""
 
     name: Identifier
     causality: Literal["input", "output", "parameter"]
+    type: Literal["real", "integer"] = "real"
     unit: str
     description: str
     elements: int | None = Field(default=None, ge=1)  # None: a scalar
     start: float | list[float] | None = None
     min: float | None = None
     max: float | None = None
+    missing: bool = False  # NaN may be set, which says that there is no value
     feedthrough: list[str] = Field(default_factory=list)
     at_start: list[str] = Field(default_factory=list)
 
@@ -85,6 +91,8 @@ class Variable(toml.Section):
             raise ValueError(f"a start value of inputs and parameters, and none of outputs ({self.name})")
         if self.start is not None and len(self.starts) != self.size:
             raise ValueError(f"{self.size} start values of {self.name}")
+        if (self.type == "integer" and self.causality != "output") or (self.missing and self.causality != "input"):
+            raise ValueError(f"integers among outputs only, and missing values among inputs ({self.name})")
         return self
 
 
@@ -129,12 +137,14 @@ def header(table: Table, token: str) -> str:
         high = "HUGE_VAL" if v.max is None else repr(v.max)
         for k, name in enumerate(v.scalar_names):
             start, elements = (v.starts[k] if v.starts else 0.0), (v.size if k == 0 else 0)
-            rows.append(f'    {{"{name}", {v.causality.upper()}, {elements}, {start!r}, {low}, {high}}},\n')
+            kind = f"{v.causality.upper()}, {v.type.upper()}, {int(v.missing)}"
+            rows.append(f'    {{"{name}", {kind}, {elements}, {start!r}, {low}, {high}}},\n')
     return (
         "/* Generated from fmu.toml: do not edit. */\n#ifndef VARIABLES_H\n#define VARIABLES_H\n\n#include <math.h>\n\n"
         f'#define MODEL_TOKEN "{token}"\n\n'
         f"/* Places in value[]. */\nenum {{\n{''.join(names)}    N_VALUES = {table.size}\n}};\n\n"
         "typedef struct {\n    const char *name;\n    enum { INPUT, OUTPUT, PARAMETER } kind;\n"
+        "    enum { REAL, INTEGER } type;\n    int may_be_nan; /* an input: there is no value */\n"
         "    unsigned elements; /* of the variable that begins here; 0 within an array */\n"
         "    double start, min, max;\n} Value;\n\n"
         f"static const Value VALUES[N_VALUES] = {{\n{''.join(rows)}}};\n\n#endif\n"

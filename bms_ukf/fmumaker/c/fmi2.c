@@ -1,4 +1,5 @@
-/* FMI 2.0 co-simulation for any model behind model.h. All variables are Real; an array is a variable for each element. */
+/* FMI 2.0 co-simulation for any model behind model.h. Variables are Real, some outputs Integer; an
+   array is a variable for each element. */
 #include "fmi2Functions.h"
 #include "instance.h"
 
@@ -85,30 +86,40 @@ fmi2Status fmi2Reset(fmi2Component component)
 
 /* Values. A value reference is the place in value[]. */
 
-fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference vr[], size_t n, fmi2Real value[])
+static int check_reference(const Instance *c, fmi2ValueReference vr, int type)
 {
-    REQUIRE_PHASE(component, INITIALIZING | RUNNING | TERMINATED)
-    const int status = instance_update(c);
-    if (status != STATUS_OK) {
-        return status;
+    if (vr < N_VALUES && (int)VALUES[vr].type == type) {
+        return STATUS_OK;
     }
-    for (size_t k = 0; k < n; ++k) {
-        if (vr[k] >= N_VALUES) {
-            return instance_complain(c, STATUS_ERROR, "no Real variable has value reference %u", vr[k]);
-        }
-        value[k] = c->state.model.value[vr[k]];
-    }
-    return fmi2OK;
+    return instance_complain(c, STATUS_ERROR, "no %s variable has value reference %u", type == REAL ? "Real" : "Integer",
+                             vr);
 }
+
+#define GET(name, value_type, type)                                                                                        \
+    fmi2Status name(fmi2Component component, const fmi2ValueReference vr[], size_t n, value_type value[])                  \
+    {                                                                                                                      \
+        REQUIRE_PHASE(component, INITIALIZING | RUNNING | TERMINATED)                                                      \
+        int status = instance_update(c);                                                                                   \
+        for (size_t k = 0; k < n && status == STATUS_OK; ++k) {                                                            \
+            status = check_reference(c, vr[k], type);                                                                      \
+            if (status == STATUS_OK) {                                                                                     \
+                value[k] = (value_type)c->state.model.value[vr[k]];                                                        \
+            }                                                                                                              \
+        }                                                                                                                  \
+        return status;                                                                                                     \
+    }
+
+GET(fmi2GetReal, fmi2Real, REAL)
+GET(fmi2GetInteger, fmi2Integer, INTEGER)
 
 fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference vr[], size_t n, const fmi2Real value[])
 {
     REQUIRE_PHASE(component, INSTANTIATED | INITIALIZING | RUNNING)
     for (size_t k = 0; k < n; ++k) {
-        if (vr[k] >= N_VALUES) {
-            return instance_complain(c, STATUS_ERROR, "no Real variable has value reference %u", vr[k]);
+        int status = check_reference(c, vr[k], REAL);
+        if (status == STATUS_OK) {
+            status = instance_check(c, vr[k], value[k]);
         }
-        const int status = instance_check(c, vr[k], value[k]);
         if (status != STATUS_OK) {
             return status;
         }
@@ -199,10 +210,9 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes
     {                                                                                                                      \
         (void)vr, (void)value;                                                                                             \
         REQUIRE_PHASE(component, ANY_PHASE)                                                                                \
-        return n == 0 ? fmi2OK : instance_complain(c, STATUS_ERROR, "%s: all variables are Real", __func__);                           \
+        return n == 0 ? fmi2OK : instance_complain(c, STATUS_ERROR, "%s is not offered", __func__);             \
     }
 
-NOT_OFFERED(fmi2GetInteger, fmi2Integer, )
 NOT_OFFERED(fmi2GetBoolean, fmi2Boolean, )
 NOT_OFFERED(fmi2GetString, fmi2String, )
 NOT_OFFERED(fmi2SetInteger, fmi2Integer, const)

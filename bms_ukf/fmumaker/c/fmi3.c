@@ -1,4 +1,5 @@
-/* FMI 3.0 co-simulation for any model behind model.h. All variables are Float64, arrays of one dimension among them. */
+/* FMI 3.0 co-simulation for any model behind model.h. Variables are Float64, some outputs Int32, arrays of
+   one dimension among them. */
 #include "fmi3Functions.h"
 #include "instance.h"
 
@@ -75,20 +76,24 @@ fmi3Status fmi3Reset(fmi3Instance instance)
 
 /* Values. A value reference is the place in value[] of the variable's first element; the one after the last is time. */
 
-/* How many values there are to a value reference; 0 if there is no such variable. */
-static size_t elements(fmi3ValueReference vr)
+/* How many values there are to a value reference; 0 if there is no such variable of that type. */
+static size_t elements(fmi3ValueReference vr, int type)
 {
-    return vr == N_VALUES ? 1 : vr < N_VALUES ? VALUES[vr].elements : 0;
+    if (vr == N_VALUES) {
+        return type == REAL;
+    }
+    return vr < N_VALUES && (int)VALUES[vr].type == type ? VALUES[vr].elements : 0;
 }
 
-static int check_references(const Instance *c, const fmi3ValueReference vr[], size_t n, size_t n_values)
+static int check_references(const Instance *c, const fmi3ValueReference vr[], size_t n, size_t n_values, int type)
 {
     size_t sum = 0;
     for (size_t k = 0; k < n; ++k) {
-        if (elements(vr[k]) == 0) {
-            return instance_complain(c, STATUS_ERROR, "no Float64 variable has value reference %u", (unsigned)vr[k]);
+        if (elements(vr[k], type) == 0) {
+            return instance_complain(c, STATUS_ERROR, "no %s variable has value reference %u",
+                                     type == REAL ? "Float64" : "Int32", (unsigned)vr[k]);
         }
-        sum += elements(vr[k]);
+        sum += elements(vr[k], type);
     }
     if (sum != n_values) {
         return instance_complain(c, STATUS_ERROR, "%u values for variables of %u", (unsigned)n_values, (unsigned)sum);
@@ -96,37 +101,40 @@ static int check_references(const Instance *c, const fmi3ValueReference vr[], si
     return STATUS_OK;
 }
 
-fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[],
-                          size_t n_values)
-{
-    REQUIRE_PHASE(instance, INITIALIZING | RUNNING | TERMINATED)
-    int status = check_references(c, vr, n, n_values);
-    if (status == STATUS_OK) {
-        status = instance_update(c);
+#define GET(name, value_type, type)                                                                                        \
+    fmi3Status name(fmi3Instance instance, const fmi3ValueReference vr[], size_t n, value_type values[], size_t n_values)  \
+    {                                                                                                                      \
+        REQUIRE_PHASE(instance, INITIALIZING | RUNNING | TERMINATED)                                                       \
+        int status = check_references(c, vr, n, n_values, type);                                                           \
+        if (status == STATUS_OK) {                                                                                         \
+            status = instance_update(c);                                                                                   \
+        }                                                                                                                  \
+        for (size_t k = 0, at = 0; k < n && status == STATUS_OK; ++k) {                                                    \
+            for (size_t j = 0; j < elements(vr[k], type); ++j) {                                                           \
+                values[at++] = (value_type)(vr[k] == N_VALUES ? c->state.time : c->state.model.value[vr[k] + j]);          \
+            }                                                                                                              \
+        }                                                                                                                  \
+        return status;                                                                                                     \
     }
-    for (size_t k = 0, at = 0; k < n && status == STATUS_OK; ++k) {
-        for (size_t j = 0; j < elements(vr[k]); ++j) {
-            values[at++] = vr[k] == N_VALUES ? c->state.time : c->state.model.value[vr[k] + j];
-        }
-    }
-    return status;
-}
+
+GET(fmi3GetFloat64, fmi3Float64, REAL)
+GET(fmi3GetInt32, fmi3Int32, INTEGER)
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t n, const fmi3Float64 values[],
                           size_t n_values)
 {
     REQUIRE_PHASE(instance, INSTANTIATED | INITIALIZING | RUNNING)
-    int status = check_references(c, vr, n, n_values);
+    int status = check_references(c, vr, n, n_values, REAL);
     for (size_t k = 0, at = 0; k < n && status == STATUS_OK; ++k) {
         if (vr[k] == N_VALUES) {
             return instance_complain(c, STATUS_ERROR, "time cannot be set");
         }
-        for (size_t j = 0; j < elements(vr[k]) && status == STATUS_OK; ++j) {
+        for (size_t j = 0; j < elements(vr[k], REAL) && status == STATUS_OK; ++j) {
             status = instance_check(c, vr[k] + j, values[at++]);
         }
     }
     for (size_t k = 0, at = 0; k < n && status == STATUS_OK; ++k) {
-        for (size_t j = 0; j < elements(vr[k]); ++j) {
+        for (size_t j = 0; j < elements(vr[k], REAL); ++j) {
             instance_set(c, vr[k] + j, values[at++]);
         }
     }
@@ -231,7 +239,7 @@ TYPE_NOT_OFFERED(Int8)
 TYPE_NOT_OFFERED(UInt8)
 TYPE_NOT_OFFERED(Int16)
 TYPE_NOT_OFFERED(UInt16)
-TYPE_NOT_OFFERED(Int32)
+NOT_OFFERED(fmi3SetInt32, const fmi3ValueReference vr[], size_t n, const fmi3Int32 values[], size_t n_values)
 TYPE_NOT_OFFERED(UInt32)
 TYPE_NOT_OFFERED(Int64)
 TYPE_NOT_OFFERED(UInt64)

@@ -104,7 +104,7 @@ int instance_check(const Instance *c, size_t k, double value)
     if (v->kind == OUTPUT || (v->kind == PARAMETER && c->state.phase == RUNNING)) {
         return instance_complain(c, STATUS_ERROR, "%s cannot be set now", v->name);
     }
-    if (!(value >= v->min && value <= v->max)) {
+    if (!(value >= v->min && value <= v->max) && !(v->may_be_nan && isnan(value))) {
         return instance_complain(c, STATUS_DISCARD, "%s = %g is not within [%g, %g]", v->name, value, v->min, v->max);
     }
     return STATUS_OK;
