@@ -13,7 +13,7 @@ hil: .venv/runtime
 	$(BIN)/bms-ukf hil tests/hil --jobs 2 --junit hil.xml --report hil.html
 
 test: lint
-	$(BIN)/python -m pytest -m "not socketcan and not bench"
+	$(BIN)/python -m pytest -m "not socketcan and not bench" --numprocesses auto --dist loadfile
 	$(BIN)/python tests/socketcan/run.py
 
 lint: .venv/test
