@@ -224,8 +224,8 @@ def test_calls_out_of_order_are_errors(unpacked):
 
 def test_a_value_reference_or_type_that_does_not_exist_is_an_error(unpacked):
     with instance(unpacked) as slave:
-        assert status_of(slave.getReal, [9]) == fmi2.fmi2Error
-        assert status_of(slave.setReal, [9], [0.0]) == fmi2.fmi2Error
+        assert status_of(slave.getReal, [99]) == fmi2.fmi2Error
+        assert status_of(slave.setReal, [99], [0.0]) == fmi2.fmi2Error
         assert status_of(slave.getInteger, [0]) == fmi2.fmi2Error
         assert status_of(slave.setBoolean, [0], [True]) == fmi2.fmi2Error
 
