@@ -74,7 +74,7 @@ def panel(watch: Watch, title: str, now_ns: int) -> Panel:
         *_cells(watch),
         _troubles(watch, silent_s),
     ]
-    used = sum(str(part).count("\n") + 1 if isinstance(part, Text) else part.row_count for part in parts)
+    used = sum(_height(part) for part in parts)
     parts.append(_messages(watch.tracks.values(), now_ns, min(ROWS - used, 5)))
     return Panel(Group(*parts), title=f"bms-ukf monitor · {title}", width=WIDTH, padding=(0, 1))
 
@@ -159,12 +159,19 @@ def _pack(watch: Watch) -> Text:
     for name, words in (("TimeToEmpty", "empty"), ("TimeToFull", "full")):
         if not math.isnan(seconds := v.get(name, NAN)):
             usable += Text.assemble((f"  {words} in ", "dim"), _duration(seconds))
-    pulses = Text(f"\n{'pulses':{LABEL}}", "dim")
+    pulses = Text.assemble((f"\n{'pulses':{LABEL}}", "dim"))
     for side, apart in (("Discharge", "   "), ("Charge", "")):
         current, power, cell = (v.get(f"{side}{what}", NAN) for what in ("Current", "Power", "Cell"))
         most = f"{_number(current, 'A', 0)}, {_number(power / 1000, 'kW', 1)}"
         pulses += Text.assemble(most, (f" (cell {_number(cell, '', 0)}){apart}", "dim"))
     return usable + pulses
+
+
+def _height(part: Text | Table) -> int:
+    """In lines, those that wrap included."""
+    if isinstance(part, Table):
+        return part.row_count
+    return sum(max(-(-len(told) // INNER), 1) for told in part.plain.split("\n"))
 
 
 def _duration(seconds: float) -> str:
