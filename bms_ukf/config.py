@@ -105,8 +105,6 @@ class PackUse(Limits):
     """[pack]: how its cells are wired, within what they are used, and what is published of it."""
 
     sensor_of: list[Index] | None = None  # the temperature signal of each cell, counted from 1
-    string_of: list[Index] | None = None  # the string of each cell, and so its current signal, counted from 1
-    bleed_A: Annotated[float, Field(gt=0)] | None = None  # of a cell that a flag says is balanced
     cell_soc_period_s: Annotated[float, Field(ge=0.1, le=3600)] = CELL_SOC_PERIOD_S  # in which every cell's is sent
 
 
@@ -180,13 +178,13 @@ class Setup:
         return PackOutput(estimator, use, use.cell_soc_period_s)
 
     def _wiring(self) -> Wiring:
-        pack, cells = self.config.pack or PackUse(), self.config.cells
-        named = {"sensor_of": pack.sensor_of, "string_of": pack.string_of}
-        for key, numbers in named.items():
-            if numbers is not None and len(numbers) != cells:
-                expected = f"a number for each of {cells} cells, and not of {len(numbers)}"
-                raise ConfigError(self.source, key=f"pack.{key}", expected=expected)
-        return Wiring(**{key: numbers and [number - 1 for number in numbers] for key, numbers in named.items()})
+        sensor_of, cells = (self.config.pack or PackUse()).sensor_of, self.config.cells
+        if sensor_of is None or cells == 1:
+            return Wiring()
+        if len(sensor_of) != cells:
+            expected = f"the number of a sensor for each of {cells} cells, not of {len(sensor_of)}"
+            raise ConfigError(self.source, key="pack.sensor_of", expected=expected)
+        return Wiring([sensor - 1 for sensor in sensor_of])
 
     def _cell(self, cell: CellParams | None) -> CellParams:
         config = self.config
@@ -205,12 +203,17 @@ class Setup:
     def _decoder(self) -> Decoder:
         cells, signals = self.config.cells, self.config.signals
         if signals is None:
-            return Decoder(cells=cells, source=self.source)
+            sensors = max((self.config.pack or PackUse()).sensor_of or [1])
+            return Decoder(SignalMap.default(cells, sensors), cells=cells, wired=sensors > 1, source=self.source)
         matrix = Matrix([self.source.parent / name for name in signals.dbc], strict=False)
         self.warnings += matrix.warnings
         protected = {name: e2e.made(name, matrix, self.source) for name, e2e in signals.e2e.items()}
+        sensor_of = (self.config.pack or PackUse()).sensor_of
+        if sensor_of is not None and max(sensor_of) != len(signals.temperature):
+            expected = f"sensors 1 to {len(signals.temperature)}, as many as signals.temperature has"
+            raise ConfigError(self.source, key="pack.sensor_of", value=max(sensor_of), expected=expected)
         roles = SignalMap(**signals.model_dump(exclude={"dbc", "lag_s", "e2e"}), e2e=protected)
-        return Decoder(roles, matrix, cells=cells, source=self.source)
+        return Decoder(roles, matrix, cells=cells, wired=sensor_of is not None, source=self.source)
 
 
 def _check_scale(bound: Bound, cell: CellParams, source: Path) -> None:

@@ -117,7 +117,8 @@ class Core:
             if not (int(estimate.faults) | int(self.stuck.fault)) & _IMPLAUSIBLE:
                 self.commissioning.see(sample)
             self._stepped = True
-            if self._scan.ends_with(voltage if heard is None else heard) and not self._periodic:
+            read = voltage if isinstance(voltage, float) else heard
+            if self._scan.ends_with(read) and not self._periodic:  # type: ignore[arg-type]
                 self._publish(sample.t_ns + self.intake.behind_ns)
 
     def _coast(self, t_ns: int) -> None:

@@ -39,11 +39,12 @@ class Decoder(Inbox[Sample]):
         matrix: Matrix | None = None,
         *,
         cells: int = 1,
+        wired: bool = False,
         source: str | Path = "signals",
     ) -> None:
-        """`source` is the file to be named in a ConfigError, raised if the map does not fit the DBC or the cells."""
+        """`wired` is as in `signals.bind`. `source` is the file to be named in a ConfigError, raised if the map does not fit the DBC or the cells."""
         signals = signals or SignalMap.default(cells)
-        self.bound = bound = bind(signals, matrix or own_matrix(), cells, source)
+        self.bound = bound = bind(signals, matrix or own_matrix(), cells, source, wired=wired)
         self.contactor = Contactor()
         sensors = sum(b.role == "temperature" for b in bound)
         reads: dict[Message, Read[Sample]] = {}

@@ -86,7 +86,9 @@ class Recorder:
         written = datetime.now(UTC).isoformat(timespec="seconds")
         cell, tuning = estimator.cell.model_dump_json(), estimator.tuning.model_dump_json()
         values = (1, words(reason), written, estimator.cells, estimator.precision, cell, tuning)
-        parts = [json.dumps(dict(zip(HEADER, values, strict=True))).encode() + b"\n"]
+        sensor_of = estimator.wiring.sensor_of
+        wiring = {"sensor_of": None if sensor_of is None else sensor_of.tolist()}
+        parts = [json.dumps(dict(zip(HEADER, values, strict=True)) | wiring).encode() + b"\n"]
         for snapshot, entries in self._parts:
             parts += [LENGTH.pack(len(snapshot)), snapshot, LENGTH.pack(len(entries)), bytes(entries)]
         return b"".join(parts)

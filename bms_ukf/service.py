@@ -17,7 +17,7 @@ from types import FrameType
 
 from bms_ukf import logsetup, roles, toml
 from bms_ukf.bus import SafeBus, open_bus
-from bms_ukf.config import Config, Setup
+from bms_ukf.config import Config, PackUse, Setup
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
 from bms_ukf.exporter import Exporter
@@ -218,6 +218,7 @@ def _explanation(setup: Setup) -> str:
         "signals of the project's own bms.dbc" if signals is None else f"signals of {', '.join(signals.dbc)}",
         *roles.explained(setup.decoder.bound, signals),
     ]
+    lines += _pack_explained(setup)
     if config.state is not None:
         lines.append(f"state stored in {_place(config.state.file, setup.source)} every {config.state.period_s:g} s")
     if config.recorder is not None:
@@ -228,11 +229,24 @@ def _explanation(setup: Setup) -> str:
     return "\n".join(lines)
 
 
+def _pack_explained(setup: Setup) -> list[str]:
+    config, cell = setup.config, setup.cell.cell
+    if config.pack is None and config.cells == 1:
+        return []
+    pack = config.pack or PackUse()
+    volts, amperes = pack.voltage_V or cell.voltage_limits_V, pack.current_A or cell.current_limits_A
+    wired = "" if pack.sensor_of is None else f"; {max(pack.sensor_of)} temperature sensors by sensor_of"
+    return [
+        f"pack: each cell {volts[0]:g}..{volts[1]:g} V, {amperes[0]:g}..{amperes[1]:g} A, empty at "
+        f"{pack.discharge_rate:g} C and full at {pack.charge_rate:g} C, pulses of {pack.pulse_s:g} s; every cell's SoC "
+        f"once in {pack.cell_soc_period_s:g} s{wired}"
+    ]
+
+
 def _fixed(setup: Setup) -> tuple[object, ...]:
     """What an estimator is made of."""
     config, pack = setup.config, setup.config.pack
-    wiring = (pack.sensor_of, pack.string_of) if pack is not None else (None, None)
-    return setup.cell, config.cells, config.estimator, *wiring
+    return setup.cell, config.cells, config.estimator, None if pack is None else pack.sensor_of
 
 
 def _place(name: str, source: Path) -> Path:

@@ -37,13 +37,13 @@ class SignalMap:
     e2e: Mapping[str, Profile] = field(default_factory=dict)  # by message: what the DBC does not declare itself
 
     @classmethod
-    def default(cls, cells: int = 1) -> SignalMap:
-        """The messages of the project's own DBC, with the first temperature sensor for all cells."""
+    def default(cls, cells: int = 1, sensors: int = 1) -> SignalMap:
+        """The messages of the project's own DBC; a single temperature sensor is that of all cells."""
         return cls(
             current="PackMeasurement.PackCurrent",
             current_positive="discharge",
             cell_voltage=[f"CellVoltages.Cell{k + 1}" for k in range(cells)],
-            temperature=["CellTemperatures.Sensor1"],
+            temperature=[f"CellTemperatures.Sensor{k + 1}" for k in range(sensors)],
         )
 
 
@@ -64,16 +64,19 @@ class Bound:
     warning: str = ""
 
 
-def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path) -> list[Bound]:
-    """Every mapped signal, found in the DBC. ConfigError naming the key if the map fits neither DBC nor cells."""
+def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, wired: bool = False) -> list[Bound]:
+    """Every mapped signal, found in the DBC. ConfigError naming the key if the map fits neither DBC nor cells.
+
+    `wired`: a `Wiring` says whose temperatures are measured, so there may be any number.
+    """
     voltages, voltage_key = signals.cell_voltage, "cell_voltage"
     if signals.pack_voltage is not None:
         voltages, voltage_key = [signals.pack_voltage], "pack_voltage"
     if len(voltages) != cells:
         expected = f"one signal for each of {cells} cells"
         raise ConfigError(source, key=f"signals.{voltage_key}", value=list(voltages), expected=expected)
-    if len(signals.temperature) not in {0, 1, cells}:
-        expected = f"one signal, or one for each of {cells} cells"
+    if len(signals.temperature) not in {0, 1, cells} and not wired:
+        expected = f"one signal, or one for each of {cells} cells (pack.sensor_of allows any number)"
         raise ConfigError(source, key="signals.temperature", value=list(signals.temperature), expected=expected)
     measured = {signals.current, *voltages, *signals.temperature}
     for key, named, known_names in (

@@ -6,13 +6,18 @@ import re
 import tomllib
 from pathlib import Path
 
+import can
 import cantools
+import numpy as np
 import pytest
 from e2e.crc import calculate_crc8_h2f
 from pydantic import BaseModel
 
-from bms_ukf import ConfigError, Tuning, resources, service, toml
-from bms_ukf.config import Bus, Config, Lags, Metrics, Recorder, Setup, Signals, State
+from bms_ukf import ConfigError, Status, Tuning, resources, service, toml
+from bms_ukf.bus import SafeBus
+from bms_ukf.clock import LockstepClock
+from bms_ukf.config import Bus, Config, Lags, Metrics, PackUse, Recorder, Setup, Signals, State
+from bms_ukf.daemon import Daemon
 from bms_ukf.e2e_settings import Crc, E2e
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "models" / "configs" / "example.toml"
@@ -59,7 +64,7 @@ def test_the_example_works_with_the_dbc_beside_it():
     assert (sample.t_ns, sample.current_A) == (7, -12.5), "positive is charge there, and discharge here"
 
 
-@pytest.mark.parametrize("model", [Config, Bus, Signals, Lags, E2e, Crc, Metrics, Recorder, State, Tuning])
+@pytest.mark.parametrize("model", [Config, Bus, Signals, PackUse, Lags, E2e, Crc, Metrics, Recorder, State, Tuning])
 def test_the_example_shows_every_key(model: type[BaseModel]):
     text = EXAMPLE.read_text(encoding="utf-8")
     shown = set(re.findall(r"(?:^(?:# )?\[?|[.{,] ?)(\w+)(?=[.\]]| = )", text, flags=re.MULTILINE))
@@ -138,6 +143,7 @@ def test_check_tells_what_every_role_is_read_from():
         "voltage",
         "temperature",
         "contactor",
+        "pack",
         f"state stored in {EXAMPLE.parent / 'bms-ukf.state'} every 10 s",
         f"on a fault the last 120 s to {EXAMPLE.parent / 'flights'}",
     ]
@@ -235,3 +241,100 @@ def test_a_file_that_is_missing_or_unreadable_is_named(config, text, told):
 def test_a_missing_config_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"nothing\.toml: expected a readable TOML file"):
         Setup.load(tmp_path / "nothing.toml")
+
+
+def fd_dbc(cells: int, per_frame: int = 30) -> str:
+    """Frames of 64 bytes: cells of 16 bits each, big-endian as many makers have them; current and two temperatures."""
+    lines = ['VERSION ""', "BU_: Bms", "BO_ 16 Pack: 8 Bms"]
+    lines += [' SG_ Current : 0|32@1- (0.001,0) [0|0] "A" Bms', ' SG_ Inlet : 32|8@1+ (1,-40) [0|0] "degC" Bms']
+    lines += [' SG_ Outlet : 40|8@1+ (1,-40) [0|0] "degC" Bms']
+    for frame in range(-(-cells // per_frame)):
+        lines.append(f"BO_ {32 + frame} Cells{frame + 1}: 64 Bms")
+        for k in range(per_frame):
+            lines.append(f' SG_ Cell{frame * per_frame + k + 1} : {16 * k + 7}|16@0+ (0.0001,0) [0|0] "V" Bms')
+    lines += ['BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","StandardCAN_FD","ExtendedCAN_FD";']
+    lines += ['BA_DEF_DEF_ "VFrameFormat" "StandardCAN";']
+    lines += [f'BA_ "VFrameFormat" BO_ {32 + frame} 2;' for frame in range(-(-cells // per_frame))]
+    return "\n".join(lines) + "\n"
+
+
+def fd_config(cells: int, pack: str) -> str:
+    voltages = ", ".join(f'"Cells{k // 30 + 1}.Cell{k + 1}"' for k in range(cells))
+    return (
+        MINIMAL.replace("[bus]", f"cells = {cells}\n[bus]")
+        + f"""fd = true
+[signals]
+dbc = ["fd.dbc"]
+current = "Pack.Current"
+current_positive = "discharge"
+cell_voltage = [{voltages}]
+temperature = ["Pack.Inlet", "Pack.Outlet"]
+[pack]
+{pack}
+"""
+    )
+
+
+def test_a_pack_of_400_cells_in_fd_frames_is_read_and_published(config, tmp_path):
+    """Thirty cells a frame, half of them by one temperature sensor and half by the other."""
+    cells = 400
+    (tmp_path / "fd.dbc").write_text(fd_dbc(cells))
+    setup = config(fd_config(cells, f"sensor_of = {[1] * 200 + [2] * 200}"))
+    matrix = cantools.database.load_file(tmp_path / "fd.dbc")
+    estimator, sent = setup.estimator(), can.Bus("fd-frames", interface="virtual")
+    bus = SafeBus(lambda: can.Bus("fd-frames", interface="virtual"))
+    clock = LockstepClock()
+    pack = setup.pack_output(estimator)
+    daemon = Daemon(bus, estimator, setup.intake(), clock=clock, pace=setup.pace, fd=setup.config.bus.fd, pack=pack)
+    volts = np.round(np.linspace(3.6, 3.9, cells), 4)
+    for k in range(1, 4):
+        clock.set(k * 10**9)
+        head = matrix.encode_message("Pack", {"Current": 10.0, "Inlet": 20, "Outlet": 30})
+        sent.send(can.Message(arbitration_id=16, data=head, is_extended_id=False, timestamp=float(k)))
+        for frame in range(14):
+            message = matrix.get_message_by_name(f"Cells{frame + 1}")
+            assert message.is_fd
+            signals = {s.name: volts[int(s.name[4:]) - 1] if int(s.name[4:]) <= cells else 0 for s in message.signals}
+            data = message.encode(signals, strict=False)
+            sent.send(
+                can.Message(
+                    arbitration_id=32 + frame, data=data, is_extended_id=False, is_fd=True, dlc=64, timestamp=float(k)
+                )
+            )
+        while daemon.poll(0.0):
+            pass
+    assert setup.decoder.counters.accepted == 45
+    assert (daemon.published, daemon.estimate.status) == (3, Status.OK)
+    assert np.all(np.diff(daemon.estimate.soc[:200]) > -1e-3)
+    assert daemon.estimate.soc[-1] > daemon.estimate.soc[0] + 0.1
+    shown = {m.arbitration_id for m in iter(lambda: sent.recv(0.0), None)}
+    assert {0x220, 0x223, 0x226, 0x227, 0x228, 0x229, 0x22A, 0x22B} <= shown
+    bus.close()
+    sent.shutdown()
+
+
+def test_fd_frames_are_not_read_where_fd_is_not_set(config, tmp_path):
+    (tmp_path / "fd.dbc").write_text(fd_dbc(30))
+    setup = config(fd_config(30, f"sensor_of = {[1] * 29 + [2]}"))
+    assert setup.decoder.decode(32, False, bytes(64), 0, classic=False) is None
+    assert setup.decoder.counters.not_data == 1
+    sample = setup.decoder.decode(32, False, bytes([0x90, 0x88] * 32), 0)
+    assert np.allclose(sample.voltage_V, 3.7)
+
+
+@pytest.mark.parametrize(
+    ("pack", "told"),
+    [
+        ("sensor_of = [1, 2]", "pack.sensor_of: expected the number of a sensor for each of 30 cells, not of 2"),
+        (f"sensor_of = {[1] * 30}", "pack.sensor_of is 1; expected sensors 1 to 2"),
+        (f"sensor_of = {[3] * 30}", "pack.sensor_of is 3; expected sensors 1 to 2"),
+        ("", "one for each of 30 cells (pack.sensor_of allows any number)"),
+        ("pulse_s = 0.0", "pack.pulse_s is 0.0; expected greater than 0"),
+    ],
+)
+def test_a_pack_that_is_wired_wrongly_is_one_line(config, tmp_path, pack, told):
+    (tmp_path / "fd.dbc").write_text(fd_dbc(30))
+    with pytest.raises(ConfigError) as caught:
+        config(fd_config(30, pack))
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -21,18 +21,40 @@ from bms_ukf.frames import Frame
 from bms_ukf.monitor import command, view
 from bms_ukf.monitor.watch import Protection, Watch
 from bms_ukf.node import SampleEncoder
+from bms_ukf.pack import PackEstimate
+from bms_ukf.pack_encoder import PackEncoder
 from bms_ukf.records import Detail, Source, Stored
 
 STEP_NS = 100_000_000
 ALL = Fault(sum(Fault))
 
 
+PACK = PackEstimate(
+    soc=0.555,
+    soc_sigma=0.012,
+    remaining_Ah=61.2,
+    remaining_Wh=21_300.0,
+    time_to_empty_s=5_500.0,
+    discharge_A=320.0,
+    discharge_W=99_500.0,
+    discharge_cell=41,
+    charge_A=-110.0,
+    charge_W=-41_000.0,
+    charge_cell=6,
+    silent=3,
+    silent_cell=16,
+)
+
+
 class Told:
     """A daemon's frames, and its vehicle's, as a watch takes them."""
 
+    pack = PACK
+
     def __init__(self, cells: int = 1) -> None:
         self.watch, self.cells, self.t_ns = Watch(Decoder(cells=cells)), cells, 0
-        self._out, self._in, self._steps = Encoder(cells), SampleEncoder(cells), itertools.count(1)
+        self._out, self._in, self._steps = Encoder(), SampleEncoder(cells), itertools.count(1)
+        self._pack = PackEncoder(cells, 10.0)
 
     def take(self, frames: Iterable[Frame]) -> None:
         for frame in frames:
@@ -49,6 +71,8 @@ class Told:
             )
             known.status, known.faults = status, faults
             self.take(self._in.encode(Sample(0, 1.0, all_of(3.7), 25.0)))
+            if self.cells > 1:
+                self.take(self._pack.encode(self.t_ns, known, self.pack, n))
             self.take(self._out.encode(known, Detail(soc, Source.REST, 0.05, Stored.STALE), n))
             self.take([self._out.health([0] * len(HEALTH), n)])
 
@@ -68,7 +92,7 @@ def test_it_fits_the_terminal_with_any_number_of_cells_and_faults(cells, faults)
     assert len(lines) <= 23
     assert max(map(len, lines)) <= 80
     assert "…" not in "".join(lines[:6])
-    assert "PackMeasurement" in lines[-4] + lines[-3]
+    assert "PackMeasurement" in "".join(lines[-6:])
 
 
 def test_every_fault_source_and_status_has_words():
@@ -104,6 +128,41 @@ def test_each_cell_has_its_mark_and_the_extremes_their_numbers():
     marks = "".join(c for line in text.splitlines() if line[2:11].strip().isdigit() for c in line if c in view.BARS)
     assert len(marks) == 96
     assert list(marks) == sorted(marks)
+
+
+def test_what_a_pack_gives_and_which_cells_are_silent_is_shown():
+    told = Told(96)
+    told.step(100)
+    text = told.shown()
+    for words in (
+        "55.5 % ± 2.4 %  left 61.2 Ah, 21.3 kWh",
+        "empty in 1 h 32 min",
+        "320 A, 99.5 kW (cell 42)",
+        "-110 A, -41.0 kW (cell 7)",
+        "96 cells, 67 a line  3 silent (17)",
+    ):
+        assert words in text
+    told.pack = PackEstimate()
+    told.step(15, status=Status.INVALID)
+    assert "usable   – ± –" in told.shown()
+
+
+def test_a_message_that_comes_seldom_is_not_silent():
+    """Two pages in ten seconds."""
+    told = Told(6)
+    told.pack = PackEstimate()
+    told.step(120)
+    assert "silent" not in told.shown(later_ns=400_000_000)
+
+
+def test_messages_in_trouble_are_never_those_left_out():
+    told = Told(400)
+    told.step(50)
+    number, extended, data = PackEncoder(1, 10.0).encode(0, Estimate(), PACK, 1)[-1]
+    told.take([(number, extended, bytes([data[0] ^ 1]) + data[1:])])
+    text = told.shown()
+    assert "wrong CRC" in text
+    assert "more" in text
 
 
 def test_a_cell_that_was_never_heard_of_is_no_zero():

@@ -12,12 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from bms_ukf.metrics import SIGMAS_95
-from bms_ukf.monitor.watch import COLUMN_NS, COLUMNS, Protection, Track, Watch
+from bms_ukf.monitor.watch import COLUMN_NS, COLUMNS, OF_PACKS, PUBLISHED, Protection, Track, Watch
 from bms_ukf.records import NAN, Fault, Source, Stored
 from bms_ukf.view import BARS, STATUS_STYLE
 
 WIDTH = 80
 INNER = WIDTH - 4
+ROWS = 21  # between the frame's lines
 GAUGE = 40
 LABEL = 9  # characters of a line's name
 MAP = 67  # cells in a line of the map
@@ -68,11 +69,13 @@ def panel(watch: Watch, title: str, now_ns: int) -> Panel:
         _soc(watch, fresh),
         _gauge(watch, fresh),
         _history(watch),
+        *([_pack(watch)] if "UsableSoc" in watch.values else []),
         _figures(watch),
         *_cells(watch),
         _troubles(watch, silent_s),
-        _messages(watch.tracks.values(), now_ns),
     ]
+    used = sum(_height(part) for part in parts)
+    parts.append(_messages(watch.tracks.values(), now_ns, min(ROWS - used, 5)))
     return Panel(Group(*parts), title=f"bms-ukf monitor · {title}", width=WIDTH, padding=(0, 1))
 
 
@@ -142,6 +145,40 @@ def _figures(watch: Watch) -> Table:
     return table
 
 
+def _pack(watch: Watch) -> Text:
+    """What the pack gives: how far it reaches, with its 95 % band, and what a pulse may have."""
+    v = watch.values
+    usable = Text.assemble(
+        (f"{'usable':{LABEL}}", "dim"),
+        (_number(v["UsableSoc"], "%", 1), "bold"),
+        (" ± ", "dim"),
+        _number(SIGMAS_95 * v["UsableSocSigma"], "%", 1),
+        ("  left ", "dim"),
+        f"{_number(v['RemainingCharge'], 'Ah', 1)}, {_number(v.get('RemainingEnergy', NAN) / 1000, 'kWh', 1)}",
+    )
+    for name, words in (("TimeToEmpty", "empty"), ("TimeToFull", "full")):
+        if not math.isnan(seconds := v.get(name, NAN)):
+            usable += Text.assemble((f"  {words} in ", "dim"), _duration(seconds))
+    pulses = Text.assemble((f"\n{'pulses':{LABEL}}", "dim"))
+    for side, apart in (("Discharge", "   "), ("Charge", "")):
+        current, power, cell = (v.get(f"{side}{what}", NAN) for what in ("Current", "Power", "Cell"))
+        most = f"{_number(current, 'A', 0)}, {_number(power / 1000, 'kW', 1)}"
+        pulses += Text.assemble(most, (f" (cell {_number(cell, '', 0)}){apart}", "dim"))
+    return usable + pulses
+
+
+def _height(part: Text | Table) -> int:
+    """In lines, those that wrap included."""
+    if isinstance(part, Table):
+        return part.row_count
+    return sum(max(-(-len(told) // INNER), 1) for told in part.plain.split("\n"))
+
+
+def _duration(seconds: float) -> str:
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
+
+
 def _volt(values: dict[str, float]) -> str:
     return _number(values.get("PredictedVoltage", NAN), "V", 4)
 
@@ -160,6 +197,8 @@ def _cells(watch: Watch) -> list[Text]:
         f"{low:.1f} % ({int(np.nanargmin(known)) + 1}) to {high:.1f} % ({int(np.nanargmax(known)) + 1})",
         (f"   {watch.cells} cells" + (f", {MAP} a line" if watch.cells > MAP else ""), "dim"),
     )
+    if (silent := watch.values.get("SilentCells", 0.0)) > 0:
+        told.append(f"  {silent:.0f} silent ({watch.values['FirstSilentCell']:.0f})", "yellow")
     lines = [told]
     for first in range(0, watch.cells, MAP):
         row = Text(f"{first + 1:>{LABEL - 2}}  ", "dim")
@@ -188,18 +227,25 @@ def _troubles(watch: Watch, silent_s: float | None) -> Text:
     return told
 
 
-def _messages(tracks: Iterable[Track], now_ns: int) -> Table:
-    """Rate and protection of every message, two in a line."""
+def _messages(tracks: Iterable[Track], now_ns: int, rows: int) -> Table:
+    """Rate and protection of messages, two in a line: in trouble first, then the vehicle's, then the others'."""
     table = Table.grid(padding=(0, 1))
     for width in (16, 7, 12, 16, 7, 12):
         table.add_column(width=width, no_wrap=True, justify="right" if width == 7 else "left")
+    found = [track for track in tracks if track.name not in OF_PACKS or track.state is not Protection.NONE]
+    states = {track.name: track.seen(now_ns) for track in found}
+    found.sort(key=lambda track: (states[track.name] is Protection.OK, track.name in PUBLISHED + OF_PACKS))
+    places = 2 * rows if len(found) <= 2 * rows else 2 * rows - 1
     shown: list[list[Text]] = []
-    for track in list(tracks)[:10]:
-        state = track.seen(now_ns)
+    for track in found[:places]:
+        state = states[track.name]
         style = STATES.get(state, "red")
         shown.append(
             [Text(track.name, "dim"), Text(f"{track.rate_hz(now_ns):.0f} Hz", style), Text(state.value, style)]
         )
+    if hidden := found[places:]:
+        well = all(states[track.name] is Protection.OK for track in hidden)
+        shown.append([Text(f"{len(hidden)} more", "dim"), Text(""), Text("ok" if well else "", "green")])
     for k in range(0, len(shown), 2):
         table.add_row(*(cell for row in shown[k : k + 2] for cell in row))
     return table

@@ -17,9 +17,10 @@ from bms_ukf.encoder import HEALTH
 from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
-PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "CellSoc", "SocDetail", "BusHealth")
+PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth")
+OF_PACKS = ("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma")
 RATE_NS = 5_000_000_000  # rates are those of so long
-SILENT_NS = 1_500_000_000  # since the last frame of a message that comes at least once a second
+SILENT_NS = 1_500_000_000  # since the last frame of a message that comes once a second; of a slower one, as much more
 COLUMN_NS = 10_000_000_000  # of the history
 COLUMNS = 60
 CELLS = 402  # as many as the DBC has
@@ -47,6 +48,7 @@ class Track:
     inbox: Inbox[bool] | Decoder
     stamps_ns: deque[int] = field(default_factory=lambda: deque(maxlen=4096))
     state: Protection = Protection.NONE
+    silent_ns: int = SILENT_NS
 
     def take(self, extended: bool, data: bytes, t_ns: int) -> bool:
         """Read a frame; False if it was refused."""
@@ -81,7 +83,7 @@ class Track:
         if self.state is Protection.NONE:
             return self.state
         last_ns = self.stamps_ns[-1] if self.stamps_ns else 0
-        return Protection.SILENT if now_ns - last_ns > SILENT_NS else self.state
+        return Protection.SILENT if now_ns - last_ns > self.silent_ns else self.state
 
 
 class Watch:
@@ -94,7 +96,7 @@ class Watch:
         self.status, self.faults = Status.INITIALISING, Fault.NONE
         self.source, self.stored = Source.NONE, Stored.NONE
         self.values: dict[str, float] = {}  # by signal, as the DBC names them and in its units
-        self.cells_pct = np.full(CELLS, NAN)
+        self.cells_pct, self.sigmas_pct = np.full(CELLS, NAN), np.full(CELLS, NAN)
         self.cells = 1  # as many as were heard of
         self.history_pct: deque[float] = deque([NAN] * COLUMNS, maxlen=COLUMNS)
         self.tracks: dict[tuple[int, bool], Track] = {}
@@ -102,7 +104,7 @@ class Watch:
         self._column_ns: int | None = None
         self._column: list[float] = []
         matrix = own_matrix()
-        for name in PUBLISHED:
+        for name in PUBLISHED + OF_PACKS:
             message = matrix.message(name)
             self._track(message, Inbox({message: self._reader(message)}))
         if vehicle is not None:
@@ -123,10 +125,12 @@ class Watch:
         return None if self.last_ns is None else (now_ns - self.last_ns) * 1e-9
 
     def _track(self, message: Message, inbox: Inbox[bool] | Decoder) -> None:
-        self.tracks[message.frame_id, message.is_extended_frame] = Track(message.name, message.frame_id, inbox)
+        silent_ns = max(SILENT_NS, SILENT_NS * (message.cycle_time or 0) // 1000)
+        track = Track(message.name, message.frame_id, inbox, silent_ns=silent_ns)
+        self.tracks[message.frame_id, message.is_extended_frame] = track
 
     def _reader(self, message: Message) -> Read[bool]:
-        if message.name == "CellSoc":
+        if message.name in {"CellSoc", "CellSigma"}:
             return _cell_reader(self, message)
         skipped = {"Crc", "AliveCounter"}
         values: dict[str, Extract] = {}
@@ -170,12 +174,13 @@ class Watch:
 
 def _cell_reader(watch: Watch, message: Message) -> Read[bool]:
     page = Field(message, message.get_signal_by_name("Page")).raw()
+    kept = watch.cells_pct if message.name == "CellSoc" else watch.sigmas_pct
     extracts = [Field(message, message.get_signal_by_name(f"Cell{k + 1}")).extract() for k in range(CELLS)]
 
     def read(data: bytes, _: int) -> bool:
         first = 3 * page(data)
         for k in range(first, min(first + 3, CELLS)):
-            value = watch.cells_pct[k] = extracts[k](data)
+            value = kept[k] = extracts[k](data)
             if value == value:  # noqa: PLR0124 - not NaN
                 watch.cells = max(watch.cells, k + 1)
         return True

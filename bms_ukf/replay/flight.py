@@ -21,6 +21,7 @@ from bms_ukf.records import NAN, Estimate, PerCell, Sample
 from bms_ukf.replay.rows import Rows
 from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
+from bms_ukf.wiring import Wiring
 
 
 class Entry(NamedTuple):
@@ -48,7 +49,8 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
         raise ValueError(f"no {', '.join(missing)} in its first line" if missing else "of another format")
     cells = int(head["cells"])
     used = cell or CellParams.model_validate_json(head["cell"])
-    estimator = Estimator(used, cells, Tuning.model_validate_json(head["tuning"]), head["precision"])
+    wiring = Wiring(head.get("sensor_of"))
+    estimator = Estimator(used, cells, Tuning.model_validate_json(head["tuning"]), head["precision"], wiring)
     snapshot, entries = _parts(body, cells)
     if cell is None:
         estimator.restore(snapshot)
