@@ -74,7 +74,7 @@ def _run(scenario: Scenario, path: Path, unit: Unit, result: Result, watch: Watc
                     unit.send(frame)
                     result.frames_in += 1
                 answer = receiver.read(unit.answers(t_ns + step_ns), t_ns)
-                record.append(sample, answer, true, receiver.cells and receiver.cells.take())
+                record.append(sample, answer, true, receiver.cells.take() if receiver.cells is not None else None)
                 if watch is not None:
                     watch(k, source.steps_at_most)
         except PlantError as error:
