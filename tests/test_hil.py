@@ -6,11 +6,17 @@ import time
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from bms_ukf import scenario
+from bms_ukf.expectations import Expectation
+from bms_ukf.expectations.record import CellsTold, Record
 from bms_ukf.faults import can, plant, sensor, system
 from bms_ukf.hil import runner
+from bms_ukf.plant import PlantState
+from bms_ukf.records import Estimate, Sample, Status
 
 LIBRARY = Path(__file__).parent / "hil"
 FILES = sorted(LIBRARY.glob("*.toml"))
@@ -58,7 +64,7 @@ def test_the_library_has_every_kind_of_fault_against_a_plant_that_is_not_the_est
     library = [scenario.load(path)[0] for path in FILES]
     assert len(library) >= 40
     assert set(KINDS) <= {fault.kind for found in library for fault in found.fault}
-    assert {found.plant.fmu for found in library} == {"lgm50_spme"}
+    assert {found.plant.fmu for found in library} == {"lgm50_spme", "pack_96s"}
     assert all(found.expect for found in library)
     assert [found.name for found in library] == [path.stem for path in FILES]
 
@@ -152,6 +158,13 @@ below = 1e-9
 [[expect]]
 kind = "not_detected"
 fault = "open_wire"
+[[expect]]
+kind = "cell_soc_error"
+below = 0.5
+[[expect]]
+kind = "lowest_cell"
+cell = 1
+below = 0.5
 """
 
 
@@ -166,7 +179,32 @@ def test_each_kind_of_expectation_fails_where_it_is_not_met_and_says_what_was_fo
         "after 5.5 s",
         "never",
         "voltage_missing after 5.5 s",
+        "no cells",
+        "no cells",
     ]
+
+
+def test_what_is_expected_of_cells_fails_by_the_cell_that_is_wrong_named_wrong_or_never_told():
+    told, true = np.array([0.50, 0.42, 0.61]), np.array([0.50, 0.40, 0.60])
+
+    def found(kind: str, soc: np.ndarray, named: float = 2.0, lowest_soc: float = 0.42, **keys: object) -> str:
+        record = Record([])
+        answer = Estimate(0, soc=0.5, status=Status.OK)
+        state = PlantState(0, voltage_V=true, temperature_degC=true, soc=true, current_A=0.0)
+        record.append(Sample(0, 0.0, true, true), answer, state, CellsTold(soc, named, lowest_soc))
+        expectation = TypeAdapter(Expectation).validate_python({"kind": kind, **keys})
+        verdict = expectation.verdict(record)
+        return f"{verdict.passed}: {verdict.found}"
+
+    assert found("cell_soc_error", told, below=0.03) == "True: 2.00 % of cell 2"
+    assert found("cell_soc_error", told, below=0.015) == "False: 2.00 % of cell 2"
+    assert found("cell_soc_error", np.array([0.5, 0.4, np.nan]), below=0.5) == "False: no SoC of 1 cells"
+    assert found("lowest_cell", told, cell=2, below=0.03) == "True: an error of 2.00 %"
+    assert found("lowest_cell", told, cell=2, below=0.015) == "False: an error of 2.00 %"
+    assert found("lowest_cell", told, lowest_soc=np.nan, cell=2, below=0.5).startswith("False")
+    assert found("lowest_cell", told, named=3.0, cell=2, below=0.5) == "False: cell 3"
+    assert found("lowest_cell", told, named=np.nan, cell=2, below=0.5) == "False: none"
+    assert found("lowest_cell", told, cell=1, below=0.5) == "False: in truth cell 2 is the lowest at some time"
 
 
 def test_the_report_has_the_fault_matrix_and_a_figure_and_the_verdicts_of_each_scenario(short, bms_ukf, tmp_path):

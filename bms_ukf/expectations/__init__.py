@@ -6,12 +6,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from bms_ukf.expectations import faults, soc, words
+from bms_ukf.expectations import cells, faults, soc, words
 
 Expectation = Annotated[
     soc.SocError
     | soc.Coverage
     | soc.NeverValidAndWrong
+    | cells.CellSocError
+    | cells.LowestCell
     | words.StatusSequence
     | words.StoredState
     | words.PlantFailure

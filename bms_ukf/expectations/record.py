@@ -34,6 +34,15 @@ class FaultFigures:
     recovered_s: float | None  # after its end, until the status is ok and stays so until the next fault
 
 
+@dataclass(slots=True)
+class CellsTold:
+    """What was told of the cells of a pack since the step before; NaN: nothing."""
+
+    soc: NDArray[np.float64]  # of each
+    lowest_cell: float = NAN  # its number, from 1
+    lowest_soc: float = NAN
+
+
 class Record:
     """A row a step. One without an answer has no SoC; a receiver goes by the last answer until it is SILENT_S old."""
 
@@ -43,12 +52,20 @@ class Record:
         self.stored = Stored.NONE  # what the daemon's last start made of its state file, as told on the bus
         self.plant_failure: str | None = None  # how it failed; see `PlantError`
         self._answered: list[bool] = []
+        self._cells: list[CellsTold] = []
+        self._cell_ref: list[NDArray[np.float64]] = []
 
-    def append(self, sample: Sample, answer: Estimate | None, true: PlantState) -> None:
-        """Of several cells the mean is kept: of the values that were measured, and of the true ones."""
+    def append(self, sample: Sample, answer: Estimate | None, true: PlantState, cells: CellsTold | None = None) -> None:
+        """Of several cells the mean is kept: of the values that were measured, and of the true ones.
+
+        `cells` is what was told of each, which is kept with the true SoC of each: in every row, or in none.
+        """
         self._answered.append(answer is not None)
         told = answer or Estimate(sample.t_ns, status=Status.INVALID)
         self.trace.append(_whole(sample), told, _mean(true.soc), _whole(true))
+        if cells is not None:
+            self._cells.append(cells)
+            self._cell_ref.append(np.broadcast_to(true.soc, cells.soc.shape))
 
     @property
     def t_s(self) -> NDArray[np.float64]:
@@ -58,6 +75,26 @@ class Record:
     @property
     def answered(self) -> NDArray[np.bool_]:
         return np.array(self._answered, dtype=bool)
+
+    @property
+    def cell_ref(self) -> NDArray[np.float64]:
+        """The true SoC of each cell, (rows, cells); (rows, 0) of a single one."""
+        return np.array(self._cell_ref).reshape(len(self.trace), -1) if self._cells else np.empty((len(self.trace), 0))
+
+    @property
+    def lowest_cell(self) -> NDArray[np.float64]:
+        """The number of the cell that is named as the lowest, from 1; NaN in rows without."""
+        return np.array([told.lowest_cell for told in self._cells])
+
+    @property
+    def lowest_soc(self) -> NDArray[np.float64]:
+        """The SoC that the lowest cell is said to have; NaN in rows without."""
+        return np.array([told.lowest_soc for told in self._cells])
+
+    def cell_error(self) -> NDArray[np.float64]:
+        """SoC of each cell minus its own truth, (rows, cells); NaN where it is not told in that row."""
+        told = np.array([told.soc for told in self._cells]).reshape(self.cell_ref.shape)
+        return told - self.cell_ref
 
     def error(self) -> NDArray[np.float64]:
         """SoC minus truth, 0..1; NaN in rows without a SoC on the bus."""
@@ -105,6 +142,9 @@ class Record:
         columns = ("soc", "soc_sigma", "voltage_pred_V", "nis", "soc_ref", "current_A", "voltage_V", "temperature_degC")
         for column in (trace.t_ns, trace.status, trace.faults, self.answered, *(trace[name] for name in columns)):
             whole.update(np.ascontiguousarray(column).tobytes())
+        if self._cells:
+            for column in (self.cell_error(), self.lowest_cell, self.lowest_soc):
+                whole.update(column.tobytes())
         return whole.hexdigest()
 
     def _figures(self, fault: Injection) -> FaultFigures:

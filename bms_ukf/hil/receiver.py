@@ -6,16 +6,21 @@ from collections.abc import Iterable
 
 from bms_ukf.dbc import Field, own_matrix
 from bms_ukf.frames import Frame
+from bms_ukf.hil.cells import CellDecoder
 from bms_ukf.node import EstimateDecoder
 from bms_ukf.records import Estimate, Stored
 
 
 class Receiver:
-    """Checks CRC and alive counter as every receiver should. `stored` is what BmsState last said of the state file."""
+    """Checks CRC and alive counter as every receiver should. `stored` is what BmsState last said of the state file.
 
-    def __init__(self) -> None:
+    `cells` has what is told of each of several cells.
+    """
+
+    def __init__(self, cells: int = 1) -> None:
         matrix = own_matrix()
         self._decoder = EstimateDecoder()
+        self.cells = CellDecoder(cells) if cells > 1 else None
         self._state_id = matrix.message("BmsState").frame_id
         self._stored = Field(*matrix.find("BmsState.StoredState")).raw()
         self.stored = Stored.NONE
@@ -28,5 +33,7 @@ class Receiver:
             self.frames += 1
             if identifier == self._state_id:
                 self.stored = Stored(self._stored(data))
+            if self.cells is not None:
+                self.cells.decode(identifier, extended, data, t_ns)
             last = self._decoder.decode(identifier, extended, data, t_ns) or last
         return last

@@ -53,7 +53,7 @@ def run(
 def _run(scenario: Scenario, path: Path, unit: Unit, result: Result, watch: Watch | None) -> None:
     step_ns = round(scenario.step_s * 1e9)
     wire = Wire(scenario.fault, scenario.sensors.seed)
-    encoder, receiver = SampleEncoder(scenario.cells), Receiver()
+    encoder, receiver = SampleEncoder(scenario.cells), Receiver(scenario.cells)
     with ExitStack() as stack:
         source = stack.enter_context(Source(scenario, path))
         record = result.record = Record(scenario.fault)
@@ -74,7 +74,7 @@ def _run(scenario: Scenario, path: Path, unit: Unit, result: Result, watch: Watc
                     unit.send(frame)
                     result.frames_in += 1
                 answer = receiver.read(unit.answers(t_ns + step_ns), t_ns)
-                record.append(sample, answer, true)
+                record.append(sample, answer, true, receiver.cells.take() if receiver.cells is not None else None)
                 if watch is not None:
                     watch(k, source.steps_at_most)
         except PlantError as error:

@@ -38,7 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--spread-resistance", type=_sigma, default=0.0, metavar="SIGMA", help="of its own, e.g. 0.1")
     parser.add_argument("--spread-soc", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
     parser.add_argument("--gradient", type=float, default=0.0, metavar="K", help="of ambient, first to last cell")
-    parser.add_argument("--weak", type=_at_least_one, metavar="CELL", help="capacity -10 %%, resistance +30 %%, SoC -0.05")
+    parser.add_argument(
+        "--weak", type=_at_least_one, metavar="CELL", help="capacity -10 %%, resistance +30 %%, SoC -0.05"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the spread")
     parser.add_argument("--soc-initial", type=float, default=0.5)
     parser.add_argument("--sources", type=Path, metavar="DIR", help="keep the C sources and the table there")
