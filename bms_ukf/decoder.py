@@ -42,7 +42,10 @@ class Decoder(Inbox[Sample]):
         wired: bool = False,
         source: str | Path = "signals",
     ) -> None:
-        """`wired` is as in `signals.bind`. `source` is the file to be named in a ConfigError, raised if the map does not fit the DBC or the cells."""
+        """`wired` is as in `signals.bind`. `source` is the file to be named in a ConfigError.
+
+        That is raised if the map does not fit the DBC or the cells.
+        """
         signals = signals or SignalMap.default(cells)
         self.bound = bound = bind(signals, matrix or own_matrix(), cells, source, wired=wired)
         self.contactor = Contactor()
