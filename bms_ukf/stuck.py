@@ -7,6 +7,7 @@ for long enough, a voltage is believed again. So they are taken for missing here
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 
 import numpy as np
@@ -99,18 +100,23 @@ class _Many:
         voltages = np.asarray(voltage, dtype=float)
         if voltages.ndim == 0:  # nothing measured
             return voltage, 0.0
-        heard = ~np.isnan(voltages)
-        moved = voltages - self._read
-        moved = moved[~np.isnan(moved)]
-        again = voltages == self._read
-        anew = heard & ~again
-        self._read[heard] = voltages[heard]
+        heard = (voltages == voltages).nonzero()[0]  # noqa: PLR0124 - not NaN
+        if not heard.size:
+            return voltage, 0.0
+        new, old = voltages[heard], self._read[heard]
+        moved = (new - old).tolist()
+        again, anew = heard[new == old], heard[new != old]
+        self._read[heard] = new
         self._low_A[anew] = self._high_A[anew] = current_A
         self._low_A[again] = np.minimum(self._low_A[again], current_A)
         self._high_A[again] = np.maximum(self._high_A[again], current_A)
         self._same[anew], self._since_ns[anew] = 1, t_ns
         self._same[again] += 1
-        long = (self._same >= READINGS) & (t_ns - self._since_ns >= STANDS_NS)
-        still = long & (ohm * (self._high_A - self._low_A) > MOVED_V)
-        self._still[heard] = still[heard]
-        return np.where(self._still, math.nan, voltages), float(np.median(moved)) if moved.size else 0.0
+        long = (self._same[heard] >= READINGS) & (t_ns - self._since_ns[heard] >= STANDS_NS)
+        still = long & (ohm * (self._high_A[heard] - self._low_A[heard]) > MOVED_V)
+        self._still[heard] = still
+        if still.any():
+            voltages = voltages.copy()
+            voltages[heard[still]] = math.nan
+        known = [step for step in moved if not math.isnan(step)]
+        return voltages, statistics.median(known) if known else 0.0
