@@ -19,7 +19,7 @@ from bms_ukf.cell import CellParams
 from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
-from bms_ukf.percell import PerCell
+from bms_ukf.percell import SHARE_NS, PerCell
 from bms_ukf.records import Estimate, Fault, Sample, Status
 from bms_ukf.tuning import Tuning
 from bms_ukf.wiring import Wiring
@@ -96,6 +96,8 @@ class Estimator(PerCell):
         self._row: Any = memoryview(self._io[:, 0].data)  # a number in or out of it costs half of what an ndarray asks
         self._addresses = self._params.ctypes.data, self._state.ctypes.data, self._io.ctypes.data, cells
         self._tick = entry.tick(form, bits)
+        self._exchange = entry.exchange(form, bits) if form.bias and cells > 1 else None
+        self._share_ns = SHARE_NS
         self._strings = aligned(cells, bits)
         self._strings[:] = 0 if self.wiring.string_of is None else self.wiring.string_of
         self.reset()
@@ -105,7 +107,6 @@ class Estimator(PerCell):
         self._state[:] = np.nan
         self._io[:] = np.nan
         self.t_ns: int | None = None
-        self._shared_ns = 0
         self._heard_ns = None
         self._code = 0  # what the kernel said last
         self.accepted = 0  # samples that were not refused: what the alive counter on the bus follows

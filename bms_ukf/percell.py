@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bms_ukf import beliefs
-from bms_ukf.kernel import entry, layout
+from bms_ukf.kernel import layout
 from bms_ukf.kernel.layout import Form
-from bms_ukf.kernel.params import BITS, Precision
+from bms_ukf.kernel.params import Precision
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
 from bms_ukf.records import Status
 from bms_ukf.tuning import Tuning
@@ -26,10 +26,11 @@ class PerCell:
 
     __slots__ = (
         "_addresses",
+        "_exchange",
         "_form",
         "_heard_ns",
         "_io",
-        "_shared_ns",
+        "_share_ns",
         "_state",
         "_strings",
         "cells",
@@ -48,7 +49,8 @@ class PerCell:
     _strings: NDArray[Any]  # string of each cell, as the kernel's numbers
     _addresses: tuple[int, int, int, int]  # of params, state and io; cells
     _heard_ns: int | None  # when the first cell was, while others are waited for
-    _shared_ns: int  # when the cells last put together what they know of their sensor's offset
+    _share_ns: int  # how often, in the time of the samples, cells agree on the offset of their sensor
+    _exchange: Any  # what they do it by
 
     @property
     def capacity_scale(self) -> Array:
@@ -104,8 +106,9 @@ class PerCell:
         """After a tick that gave `code`: what concerns cells together, now and then."""
         if code >> STATUS_SHIFT == Status.INITIALISING:
             self._start_silent(t_ns)
-        if self._form.bias and t_ns - self._shared_ns >= SHARE_NS:
-            self._share_bias(t_ns)
+        last_ns = t_ns if self.t_ns is None else self.t_ns
+        if self._form.bias and t_ns // self._share_ns != last_ns // self._share_ns:
+            self._share_bias()
 
     def _start_silent(self, t_ns: int) -> None:
         """Where some cells have been heard and others, for a voltage's timeout since, were not: predict these, too."""
@@ -115,13 +118,11 @@ class PerCell:
         if waited_s >= self.tuning.voltage_timeout_s:
             beliefs.start_silent(self._form, self._state, self.cells, self.tuning.cell_spread_sigma, waited_s)
 
-    def _share_bias(self, t_ns: int) -> None:
+    def _share_bias(self) -> None:
         """Let the cells of each string agree on the offset of their one current sensor."""
-        self._shared_ns = t_ns
         params, state, *_ = self._addresses
-        exchange = entry.exchange(self._form, BITS[self.precision])
         for string in range(self.wiring.strings):
-            exchange(params, state, self._strings.ctypes.data, string, self.cells)
+            self._exchange(params, state, self._strings.ctypes.data, string, self.cells)
 
 
 def _positive(scale: ArrayLike) -> Array:

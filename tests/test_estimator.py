@@ -19,7 +19,7 @@ from bms_ukf.kernel import layout
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
 SECOND = 10**9
 NAN = math.nan
-NEVER = 1 << 62  # when the cells agree on the offset of their sensor: each is for itself
+NEVER = 1 << 62  # how often the cells agree on the offset of their sensor: each is for itself
 PER_CELL = (
     "soc",
     "soc_sigma",
@@ -238,7 +238,7 @@ def refuses(estimator: Estimator, snapshot: bytes) -> bool:
 @pytest.mark.parametrize("cells", [2, 3, 17])
 def test_a_pack_is_that_many_single_estimators_but_for_the_order_of_rounding(cells):
     pack = Estimator(CELL, cells)
-    pack._shared_ns = NEVER
+    pack._share_ns = NEVER
     singles = [Estimator(CELL) for _ in range(cells)]
     rng = np.random.default_rng(5)
     for sample in drive(80, cells):
@@ -312,7 +312,7 @@ def test_a_step_into_out_leaves_no_object_behind_and_allocates_nothing_in_the_ke
 def test_a_cell_of_a_pack_is_forgotten_only_by_a_voltage_that_is_refused():
     """Not because another cell of its block needs care while its own voltage fails to come."""
     pack, alone = Estimator(CELL, 2), Estimator(CELL)
-    pack._shared_ns = NEVER
+    pack._share_ns = NEVER
     ocv, wrong = float(CELL.ocv_V(0.6, 25.0)), float(CELL.ocv_V(0.9, 25.0))
     for k in range(120):
         voltage = ocv if k < 80 else wrong if k < 109 else NAN

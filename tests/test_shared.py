@@ -23,7 +23,7 @@ def pack_after(seconds: int, cells: int, tuning: Tuning | None = None, shares: b
     voltage += 0.003 * random.standard_normal(voltage.shape)
     estimator = Estimator(CELL, cells, tuning, **settings)
     if not shares:
-        estimator._shared_ns = 1 << 62
+        estimator._share_ns = 1 << 62
     for k in range(seconds):
         estimator.step(Sample(k * SECOND, current[k] + OFFSET_A, voltage[k], 25.0))
     return estimator
