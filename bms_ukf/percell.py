@@ -40,6 +40,7 @@ class PerCell:
     )
 
     cells: int
+    t_ns: int | None  # of the last sample
     precision: Precision
     tuning: Tuning
     wiring: Wiring
