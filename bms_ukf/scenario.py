@@ -43,6 +43,11 @@ class DaemonTable(toml.Section):
     transmit: Literal["on_update", "periodic"] = "on_update"
     period_s: Annotated[float, Field(ge=0.005, le=10)] = 0.1
     state_period_s: Annotated[float, Field(ge=0.1, le=3600)] = 60.0
+    temperature_sensors: Annotated[int, Field(ge=1, le=400)] = 1  # each for as many cells in a row, on the middle one
+
+    def sensor_of(self, cells: int) -> list[int]:
+        """The number of the sensor of each cell, from 0."""
+        return [cell * self.temperature_sensors // cells for cell in range(cells)]
 
 
 class PaceTable(toml.Section):
@@ -86,6 +91,8 @@ class Scenario(toml.Document):
         for fault in self.fault:
             if isinstance(fault, SensorFault) and fault.cell is not None and fault.cell > self.cells:
                 raise ValueError(f"fault: cell of at most {self.cells}, as many as there are, not {fault.cell}")
+        if self.daemon.temperature_sensors > self.cells:
+            raise ValueError(f"daemon.temperature_sensors of at most {self.cells}, as many as there are cells")
         return self
 
 

@@ -33,7 +33,7 @@ class Bench:
     def __init__(self, unit: Unit, scenario: Scenario) -> None:
         self.unit = unit
         self._step_ns = round(scenario.step_s * 1e9)
-        self._encoder, self._receiver = SampleEncoder(scenario.cells), Receiver()
+        self._encoder, self._receiver = SampleEncoder(scenario.cells, scenario.daemon.temperature_sensors), Receiver()
         self._last: Estimate | None = None
 
     def exchange(self, sample: Sample) -> Estimate | None:

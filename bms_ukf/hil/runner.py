@@ -53,7 +53,8 @@ def run(
 def _run(scenario: Scenario, path: Path, unit: Unit, result: Result, watch: Watch | None) -> None:
     step_ns = round(scenario.step_s * 1e9)
     wire = Wire(scenario.fault, scenario.sensors.seed)
-    encoder, receiver = SampleEncoder(scenario.cells), Receiver(scenario.cells)
+    encoder = SampleEncoder(scenario.cells, scenario.daemon.temperature_sensors)
+    receiver = Receiver(scenario.cells)
     with ExitStack() as stack:
         source = stack.enter_context(Source(scenario, path))
         record = result.record = Record(scenario.fault)

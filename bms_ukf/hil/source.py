@@ -28,6 +28,9 @@ class Source:
         self._step_ns = round(scenario.step_s * 1e9)
         self._sensors = SensorSet(scenario.sensors)
         self._faults = SensorFaults(scenario.fault, scenario.sensors.seed, scenario.cells)
+        sensor_of = np.array(scenario.daemon.sensor_of(scenario.cells))
+        sensors = range(scenario.daemon.temperature_sensors)
+        self._felt = [int(np.median(np.flatnonzero(sensor_of == sensor))) for sensor in sensors]  # cells with a sensor
         self._planned: Sequence[Injection] = [fault for fault in scenario.fault if isinstance(fault, PlantFault)]
 
     def __enter__(self) -> Self:
@@ -59,13 +62,13 @@ class Source:
             try:
                 self._break(t_ns)
                 true = self._plant.step(asked, self._step_ns)
-                return true, self._faults.spoil(self._measured(true))
+                return true, self._sent(self._measured(true))
             except PlantError as error:
                 self.failure = error.kind
                 if self._scenario.plant.on_failure == "end":
                     raise
         nothing = Sample(t_ns, voltage_V=self._each(NAN), temperature_degC=self._each(NAN))
-        return PlantState(t_ns, current_A=NAN), self._faults.spoil(nothing)
+        return PlantState(t_ns, current_A=NAN), self._sent(nothing)
 
     def _break(self, t_ns: int) -> None:
         for fault in self._planned:
@@ -82,6 +85,13 @@ class Source:
         """A plant of one cell stands for each of several in series."""
         voltage_V, temperature_degC = self._each(true.voltage_V), self._each(true.temperature_degC)
         return self._sensors.measure(true.t_ns, float(true.current_A), voltage_V, temperature_degC)
+
+    def _sent(self, sample: Sample) -> Sample:
+        """What the faults of sensors leave of a sample, with the temperatures of the cells that have a sensor."""
+        sample = self._faults.spoil(sample)
+        if not isinstance(sample.temperature_degC, float):
+            sample.temperature_degC = sample.temperature_degC[self._felt]
+        return sample
 
     def _each(self, value: PerCell) -> PerCell:
         cells = self._scenario.cells

@@ -55,9 +55,11 @@ def write_config(folder: Path, scenario: Scenario, source: Path, interface: str,
     daemon = scenario.daemon
     cell = resources.find(scenario.estimator.cell, "cells", ".toml", relative_to=source.parent).resolve()
     values: dict[str, Any] = {"format": 1, "cell": str(cell), "cells": scenario.cells}
-    values |= daemon.model_dump(exclude={"state_period_s"})
+    values |= daemon.model_dump(exclude={"state_period_s", "temperature_sensors"})
     values |= {"bus.interface": interface, "bus.channel": channel}
     values |= {"state.file": STATE, "state.period_s": daemon.state_period_s}
+    if daemon.temperature_sensors > 1:
+        values["pack.sensor_of"] = [sensor + 1 for sensor in daemon.sensor_of(scenario.cells)]
     tuning = scenario.estimator.tuning.model_dump(exclude_none=True)
     values |= {f"estimator.{name}": value for name, value in tuning.items()}
     path = folder / "config.toml"
