@@ -70,7 +70,7 @@ def test_a_log_gives_what_the_estimator_alone_says_of_its_samples(logged, config
     assert trace["current_A"][-1] == 1.0
 
 
-@pytest.mark.parametrize("name", ["drive.asc", "drive.blf", "drive.trc"])
+@pytest.mark.parametrize("name", ["drive.asc", "drive.blf", "drive.trc", "drive.mf4"])
 def test_every_format_gives_the_same(logged, config, name):
     first, _ = canlog.rerun(logged(), config)
     other, _ = canlog.rerun(logged(name), config)
@@ -134,7 +134,7 @@ def test_a_log_that_was_cut_off_is_read_to_its_end_and_one_that_is_none_is_refus
 
 # python-can's reader of .blf leaves a file it cannot read to the garbage collector, which warns.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("name", ["x.log", "x.asc", "x.blf", "x.trc"])
+@pytest.mark.parametrize("name", ["x.log", "x.asc", "x.blf", "x.trc", "x.mf4"])
 def test_a_file_that_is_no_log_is_one_line(tmp_path, config, name):
     (tmp_path / name).write_bytes(b"\x01nothing\n")
     with pytest.raises(ConfigError):
@@ -191,7 +191,7 @@ def test_a_log_without_any_frame_of_interest_is_one_line(tmp_path, config):
         canlog.rerun(tmp_path / "x.log", config)
 
 
-@pytest.mark.parametrize("name", ["frames.log", "frames.asc", "frames.blf", "frames.trc"])
+@pytest.mark.parametrize("name", ["frames.log", "frames.asc", "frames.blf", "frames.trc", "frames.mf4"])
 def test_what_the_daemon_writes_can_be_replayed(tmp_path, drive, config, name):
     log, encoder = FrameLog(tmp_path / name), SampleEncoder()
     for sample in drive[:20]:
