@@ -26,17 +26,20 @@ REQUIREMENTS = "numpy\nnumba>=0.68,<0.69\npydantic>=2.7\n"
 # What an estimator needs of this package.
 SOURCES = (
     "__init__.py",
+    "beliefs.py",
     "benchmark_entry.py",
     "cell.py",
     "errors.py",
     "estimator.py",
     "kernel",
     "pchip.py",
+    "percell.py",
     "py.typed",
     "records.py",
     "resources.py",
     "toml.py",
     "tuning.py",
+    "wiring.py",
 )
 MODEL = '''"""{name}, by bms-ukf: `soc, z = Model(X, z)` once a second; X: current (+ charge), voltage, temperature."""
 

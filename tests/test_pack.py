@@ -205,10 +205,10 @@ def test_a_cell_takes_less_than_two_kilobytes():
     assert taken / cells < 2048
 
 
-def test_before_every_input_was_seen_nothing_is_known_and_all_is_silent():
+def test_before_every_cell_was_heard_nothing_is_known_but_which_is_silent():
     estimator = Estimator(STEADY, 3)
     sample = Sample(0, 1.0, np.array([3.7, NAN, 3.7]), 25.0)
     told = Pack(estimator).update(estimator.step(sample), sample)
     assert told.status is Status.INITIALISING
     assert math.isnan(told.soc)
-    assert (told.empty_first, told.silent, told.silent_cell) == (-1, 3, 0)
+    assert (told.empty_first, told.silent, told.silent_cell) == (-1, 1, 1)

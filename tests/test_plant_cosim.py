@@ -57,4 +57,4 @@ def test_a_run_whose_plant_crashes_ends_or_goes_on_without_measurements(run, tmp
 def test_a_plant_of_several_cells_is_one_line_that_says_what_takes_it(run, tmp_path):
     variables = (Var("i", "input", "A", "0"), *(Var(f"v[{k}]", "output", "V") for k in (1, 2)))
     ended, _ = run(build(tmp_path / "pack.fmu", variables, "return 0;", ""))
-    assert "expected the voltage of one cell; bms-ukf hil takes several" in ended.line
+    assert "cells is 2; expected 1: bms-ukf hil is for several" in ended.line

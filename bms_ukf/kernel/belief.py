@@ -19,10 +19,10 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     """Give a lane without a belief its first one, as soon as a current, a temperature and a voltage are known."""
     W = m.lanes
     for c in range(lanes):
-        known = y[W * k.Y_VOLTAGE + c] + y[W * k.Y_CURRENT + c] + w[W * k.H_TEMPERATURE + c]
+        known = y[W * k.Y_VOLTAGE + c] + w[W * k.H_THROUGH + c] + w[W * k.H_TEMPERATURE + c]
         if y[W * k.Y_ALIVE + c] == real(w, 0) and math.isfinite(known):
             # The load may have begun just now or long ago: the RC voltages are between nothing and r i.
-            half = y[W * k.Y_CURRENT + c] / real(w, 2)
+            half = w[W * k.H_THROUGH + c] / real(w, 2)
             for j in range(m.n_rc):
                 w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, w, y, m, c, j) * half
             if m.hysteresis:

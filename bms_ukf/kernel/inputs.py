@@ -35,7 +35,7 @@ def take(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: 
         age = w[W * k.H_CURRENT_AGE + c] + dt
         held = through if fresh else held
         w[W * k.H_CURRENT + c] = held
-        y[W * k.Y_CURRENT + c] = held + bleed if is_number(bleed) else held
+        w[W * k.H_THROUGH + c] = held + bleed if is_number(bleed) else held
         w[W * k.H_CURRENT_AGE + c] = zero if fresh else age
 
         measured = io[rows * k.IN_TEMPERATURE + first + c]

@@ -169,7 +169,8 @@ H_PER_CAPACITY = 25  # the cell file's capacity over the cell's own; NaN: 1
 H_RESISTANCE = 26  # the cell's resistances over the cell file's; NaN: 1
 H_SHARED = 27  # what all cells of a string know of their current's offset: its mean, A (`shared`)
 H_SHARED_VAR = 28  # and its variance, A^2
-HELD = 29
+H_THROUGH = 29  # the current of the cell: its string's and what balancing takes, A. In y it would undo vectorising
+HELD = 30
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached
@@ -204,8 +205,7 @@ Y_OHMIC = 27  # ohmic drop by the cell file's r0, V; NaN: at an unknown current
 Y_SINCE_HEARD = 28  # s since the voltage before this one
 Y_TRUST = 29  # share of its Kalman gain that the bias takes from this measurement, 0..1
 Y_RESTED = 30  # 1: a rest shows what the one before it showed
-Y_CURRENT = 31  # of the cell: its string's and what balancing takes, A
-Y_B = 32  # N_MAX slots: sqrt_P^-1 Pxz, V
+Y_B = 31  # N_MAX slots: sqrt_P^-1 Pxz, V
 Y_DYN = Y_B + N_MAX  # CHANNELS_MAX slots
 Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, then of the core: 1 - exp(-time / tau)
 Y_FADE = Y_FALL + N_RC_MAX + 2  # the same over the gap

@@ -23,14 +23,14 @@ RESOLVED = 1e-4  # of a variance: a float32 root moves by 1 part in 20 000, of w
 def soc_per_ampere(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
     """SoC per ampere of the known current in this step, 1/A."""
     W = m.lanes
-    ce = p[k.P_CE_CHARGE] if y[W * k.Y_CURRENT + c] < real(p, 0) else real(p, 1)
+    ce = p[k.P_CE_CHARGE] if w[W * k.H_THROUGH + c] < real(p, 0) else real(p, 1)
     return ce * y[W * k.Y_KNOWN + c] / p[k.P_CHARGE_COULOMB] * w[W * k.H_PER_CAPACITY + c]
 
 
 @inline
 def charge(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
     """SoC that the known current takes off the cell in this step."""
-    return y[m.lanes * k.Y_CURRENT + c] * soc_per_ampere(p, w, y, m, c)
+    return w[m.lanes * k.H_THROUGH + c] * soc_per_ampere(p, w, y, m, c)
 
 
 @inline
@@ -81,7 +81,7 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
             y[W * (k.Y_FALL + j) + c] = known / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
         if m.hysteresis:
             rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
-            y[W * (k.Y_FALL + m.n_rc) + c] = rate * abs(y[W * k.Y_CURRENT + c]) * known
+            y[W * (k.Y_FALL + m.n_rc) + c] = rate * abs(w[W * k.H_THROUGH + c]) * known
         if m.core:
             y[W * (k.Y_FALL + m.n_v) + c] = dt / p[k.P_CORE_TAU]
     one_minus_exp(w, y, m, k.Y_FALL, m.n_v + m.core, lanes)
@@ -121,7 +121,7 @@ def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     zero, one = real(p, 0), real(p, 1)
     for c in range(lanes):
         unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
-        i = y[W * k.Y_CURRENT + c]
+        i = w[W * k.H_THROUGH + c]
         i = p[k.P_CURRENT_RANGE] if unknown else i
         r0_discharge, r0_charge = y[W * (k.Y_DYN + k.D_R0) + c], y[W * (k.Y_DYN + k.D_R0_CHARGE) + c]
         r0 = r0_charge if i < zero else r0_discharge
@@ -197,7 +197,7 @@ def share(p: Any, w: Any, m: Any, c: int, lost: Any) -> None:
 def soc_walk(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> Any:
     """Growth of SoC's variance in this step; keeps the account of the gap."""
     W = m.lanes
-    i = y[W * k.Y_CURRENT + c]
+    i = w[W * k.H_THROUGH + c]
     gap = y[W * k.Y_GAP + c]
     before = w[W * k.H_GAP_S + c]
     after = before + gap
@@ -236,7 +236,7 @@ def relax_hysteresis(p: Any, w: Any, y: Any, m: Any, c: int, lost: Any, g: Any, 
     to_target = rise if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else rise - rise * faded
     lost[h] = rise + faded - rise * faded
     g[h] = real(p, 0)
-    gain[h] = to_target * (-largest if y[W * k.Y_CURRENT + c] < real(p, 0) else largest)
+    gain[h] = to_target * (-largest if w[W * k.H_THROUGH + c] < real(p, 0) else largest)
     anywhere = largest * largest / real(p, 3)
     error = y[W * (k.Y_DYN + k.D_ERROR) + c]
     stationary = error * error * p[k.P_VAR_V + m.n_rc] + (anywhere if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0))
@@ -247,7 +247,7 @@ def relax_hysteresis(p: Any, w: Any, y: Any, m: Any, c: int, lost: Any, g: Any, 
 def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, gain: Any, q: Any) -> None:
     """What the step does to the voltage of an RC pair."""
     W = m.lanes
-    i = y[W * k.Y_CURRENT + c]
+    i = w[W * k.H_THROUGH + c]
     r = y[W * (k.Y_DYN + k.D_RC1 + 2 * j) + c]
     rise = y[W * (k.Y_FALL + j) + c]
     faded = y[W * (k.Y_FADE + j) + c]
@@ -281,6 +281,6 @@ def warm_core(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> None:
     loss = y[W * k.Y_DROP + c]
     for j in range(m.n_v):
         loss += w[W * (m.x + k.V_RC1 + j) + c]
-    target = p[k.P_CORE_K_PER_W] * y[W * k.Y_CURRENT + c] * loss * (y[W * k.Y_KNOWN + c] / dt)
+    target = p[k.P_CORE_K_PER_W] * w[W * k.H_THROUGH + c] * loss * (y[W * k.Y_KNOWN + c] / dt)
     rise = w[W * k.H_CORE_RISE + c]
     w[W * k.H_CORE_RISE + c] = rise + y[W * (k.Y_FALL + m.n_v) + c] * (target - rise)

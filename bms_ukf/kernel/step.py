@@ -67,7 +67,7 @@ def step(
 def predict(p: Any, s: Any, w: Any, y: Any, m: Any, dt: Any, current: Any, temperature: Any) -> int:
     """The time update alone, of one record: dt > 0 s under `current`, A, at `temperature`, degC. Returns fault bits."""
     load(s, 0, w, y, m, 1)
-    w[k.H_CURRENT], w[k.H_TEMPERATURE], y[k.Y_CURRENT] = current, temperature, current
+    w[k.H_CURRENT], w[k.H_TEMPERATURE], w[k.H_THROUGH] = current, temperature, current
     w[k.H_CURRENT_AGE] = w[k.H_TEMPERATURE_AGE] = w[k.H_GAP_S] = y[k.Y_GAP] = y[k.Y_CODE] = real(p, 0)
     w[k.H_VOLTAGE_AGE] += dt
     y[k.Y_KNOWN] = dt
