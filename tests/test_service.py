@@ -40,6 +40,18 @@ file = "state"
 period_s = 0.1
 """
 
+BALANCING = f"""
+[signals]
+dbc = ["{Path(__file__).resolve().parents[1] / "models" / "configs" / "example.dbc"}"]
+current = "BatteryStatus.Current"
+current_positive = "charge"
+cell_voltage = ["CellStatus.Voltage"]
+temperature = ["CellStatus.Temperature"]
+balancing = ["CellStatus.Balancing"]
+[pack]
+bleed_A = 0.1
+"""
+
 _channels = (f"test-service-{k}" for k in itertools.count())
 
 
@@ -223,6 +235,7 @@ def test_another_bus_is_opened_before_the_old_one_is_closed(started, vehicle, tm
         (CONFIG.replace("lgm50_chen2020", "a123_lfp"), "restart to change them"),
         (CONFIG.replace("format = 1", "format = 1\ncells = 3"), "restart to change them"),
         (CONFIG + "[estimator]\ngate_sigmas = 4.0", "restart to change them"),
+        (CONFIG + BALANCING, "restart to change them"),
         ("", "format"),
     ],
 )
