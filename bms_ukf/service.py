@@ -84,7 +84,6 @@ class Service:
             pack=self._setup.pack_output(self._estimator),
         )
         self._keeper = self._keeper_of(self._setup)
-        self.daemon.witness = self._recorder_of(self._setup)
         self._exporter = self._exporter_of(self._setup)
         self._store_at_s = self._status_at_s = 0.0
 
@@ -97,6 +96,7 @@ class Service:
             level = logging.INFO if stored <= Stored.USED else logging.WARNING
             log.log(level, "state: %(state)s: %(reason)s", {"state": stored.word, "reason": line})
             self.daemon.resumed(stored)
+        self.daemon.witness = self._recorder_of(self._setup)  # begins with what was taken up
         log.info("running: %(setup)s", {"setup": "; ".join(_explanation(self._setup).splitlines())})
         self._notify.ready(self._status())
 

@@ -186,6 +186,18 @@ def test_the_recorder_writes_what_led_to_a_fault_and_it_can_be_run_again(started
     assert flight.rerun(tmp_path / "flights" / "x.flight")[1]["identical"] is True
 
 
+def test_what_is_recorded_after_a_restart_begins_with_the_belief_that_was_taken_up(started, vehicle, tmp_path):
+    text = CONFIG + '[recorder]\nfolder = "flights"\n'
+    before = started(text)
+    vehicle.drive(before, 20)
+    before.close()
+    running = started(text)
+    assert running.daemon.publication.detail.stored is Stored.USED
+    vehicle.drive(running, 3)
+    (tmp_path / "flights" / "x.flight").write_bytes(running.daemon.witness.file(Fault.BUS))
+    assert flight.rerun(tmp_path / "flights" / "x.flight")[1]["identical"] is True
+
+
 def test_every_frame_is_written_where_it_is_asked_for(tmp_path, vehicle):
     (tmp_path / "bms.toml").write_text(CONFIG)
     running = Service(tmp_path / "bms.toml", tmp_path / "frames.log")
