@@ -24,6 +24,7 @@ from bms_ukf.pack_output import CELL_SOC_PERIOD_S, PackOutput
 from bms_ukf.scaling import scaled
 from bms_ukf.signals import Bound, SignalMap
 from bms_ukf.tuning import Tuning
+from bms_ukf.units import BASE
 from bms_ukf.wiring import Wiring
 
 Text = Annotated[str, Field(min_length=1)]
@@ -64,6 +65,7 @@ class Signals(toml.Section):
     temperature: Annotated[list[Text], Field(min_length=1)]  # one for all cells, or one a cell
     contactor: Text | None = None
     contactor_open: list[int | Text] = Field(default_factory=list)  # raw values, or their names, with no current
+    balancing: list[Text] = Field(default_factory=list)  # one a cell: its bleed current, or a flag that is 1 with it
     not_available: dict[str, list[int]] = Field(default_factory=dict)  # raw values that mean "no value"
     plausible: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=dict)
     unit: dict[str, Text] = Field(default_factory=dict)  # where the DBC gives none, or a wrong one
@@ -105,6 +107,7 @@ class PackUse(Limits):
     """[pack]: how its cells are wired, within what they are used, and what is published of it."""
 
     sensor_of: list[Index] | None = None  # the temperature signal of each cell, counted from 1
+    bleed_A: Annotated[float, Field(gt=0, le=100)] | None = None  # taken from a cell while its flag of balancing is 1
     cell_soc_period_s: Annotated[float, Field(ge=0.1, le=3600)] = CELL_SOC_PERIOD_S  # in which every cell's is sent
 
 
@@ -141,7 +144,8 @@ class Setup:
         self.decoder = self._decoder()
         if config.signals is not None:
             for bound in self.decoder.bound:
-                _check_scale(bound, self.cell, source)
+                if bound.role in BASE:
+                    _check_scale(bound, self.cell, source)
                 self.warnings += [bound.warning] if bound.warning else []
 
     @property
@@ -201,18 +205,21 @@ class Setup:
             ) from None
 
     def _decoder(self) -> Decoder:
-        cells, signals = self.config.cells, self.config.signals
+        cells, signals, pack = self.config.cells, self.config.signals, self.config.pack or PackUse()
+        if pack.bleed_A is not None and (signals is None or not signals.balancing):
+            raise ConfigError(self.source, key="pack.bleed_A", value=pack.bleed_A, expected="it with signals.balancing")
         if signals is None:
-            sensors = max((self.config.pack or PackUse()).sensor_of or [1])
+            sensors = max(pack.sensor_of or [1])
             return Decoder(SignalMap.default(cells, sensors), cells=cells, wired=sensors > 1, source=self.source)
         matrix = Matrix([self.source.parent / name for name in signals.dbc], strict=False)
         self.warnings += matrix.warnings
         protected = {name: e2e.made(name, matrix, self.source) for name, e2e in signals.e2e.items()}
-        sensor_of = (self.config.pack or PackUse()).sensor_of
+        sensor_of = pack.sensor_of
         if sensor_of is not None and max(sensor_of) != len(signals.temperature):
             expected = f"sensors 1 to {len(signals.temperature)}, as many as signals.temperature has"
             raise ConfigError(self.source, key="pack.sensor_of", value=max(sensor_of), expected=expected)
-        roles = SignalMap(**signals.model_dump(exclude={"dbc", "lag_s", "e2e"}), e2e=protected)
+        named = signals.model_dump(exclude={"dbc", "lag_s", "e2e"})
+        roles = SignalMap(**named, e2e=protected, bleed_A=pack.bleed_A)
         return Decoder(roles, matrix, cells=cells, wired=sensor_of is not None, source=self.source)
 
 
@@ -223,15 +230,14 @@ def _check_scale(bound: Bound, cell: CellParams, source: Path) -> None:
         "current": (0.0, 0.1 * limits.capacity_Ah),
         "voltage": (limits.voltage_limits_V[0], limits.voltage_limits_V[1]),
         "temperature": (20.0, 30.0),
-        "contactor": (0.0, 1.0),
     }[bound.role]
-    coarsest = {"current": limits.capacity_Ah, "voltage": 0.1, "temperature": 10.0, "contactor": 1.0}[bound.role]
+    coarsest = {"current": limits.capacity_Ah, "voltage": 0.1, "temperature": 10.0}[bound.role]
     reaches = bound.lowest <= low and high <= bound.highest
     if bound.role == "current":  # of a sensor that sees one direction only
         reaches |= bound.lowest <= -high and bound.highest >= 0.0
     if not reaches or (bound.bit > coarsest and not bound.is_float):
+        unit = {"current": "A", "voltage": "V", "temperature": "degC"}[bound.role]
         says = f"{bound.lowest:g} to {bound.highest:g}, {bound.bit:g} a bit"
-        unit = {"current": "A", "voltage": "V", "temperature": "degC", "contactor": ""}[bound.role]
         expected = (
             f"{low:g} to {high:g} {unit} in bits below {coarsest:g} for each {limits.name}; it can say {says} "
             f"(see unit, series_cells, parallel_cells, capacity_scale)"

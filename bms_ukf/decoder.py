@@ -9,12 +9,31 @@ from pathlib import Path
 
 import numpy as np
 from cantools.database.can import Message
+from numpy.typing import NDArray
 
 from bms_ukf.dbc import Extract, Field, Matrix, own_matrix
 from bms_ukf.errors import ConfigError
 from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, PerCell, Sample
 from bms_ukf.signals import Bound, SignalMap, bind
+from bms_ukf.units import BASE
+
+
+class Balancing:
+    """What was last heard of the balancing of `cells` cells."""
+
+    HEARD_NS = 5_000_000_000  # what is older than this says nothing
+
+    def __init__(self, cells: int) -> None:
+        self._bleed_A, self._heard_ns = np.full(cells, NAN), np.zeros(cells, np.int64)
+
+    def hear(self, index: int, bleed_A: float, t_ns: int) -> None:
+        """Take what a frame received at `t_ns` says of one cell; what is not finite says nothing."""
+        self._bleed_A[index], self._heard_ns[index] = bleed_A if math.isfinite(bleed_A) else NAN, t_ns
+
+    def at(self, t_ns: int) -> NDArray[np.float64]:
+        """(cells,) what is taken from each cell at `t_ns`, A, positive = discharge; NaN: not known."""
+        return np.where(t_ns - self._heard_ns <= self.HEARD_NS, self._bleed_A, NAN)
 
 
 @dataclass(slots=True)
@@ -49,21 +68,26 @@ class Decoder(Inbox[Sample]):
         signals = signals or SignalMap.default(cells)
         self.bound = bound = bind(signals, matrix or own_matrix(), cells, source, wired=wired)
         self.contactor = Contactor()
+        self.balancing = Balancing(cells) if signals.balancing else None
         sensors = sum(b.role == "temperature" for b in bound)
         reads: dict[Message, Read[Sample]] = {}
         for message in dict.fromkeys(b.message for b in bound):
             here = [b for b in bound if b.message is message]
-            reads[message] = _reader(message, here, self.contactor, cells, max(sensors, 1), source)
+            states = self.contactor, self.balancing
+            reads[message] = _reader(message, here, states, cells, max(sensors, 1), source)
         super().__init__(reads, signals.e2e)
 
 
+States = tuple[Contactor, Balancing | None]
+
+
 def _reader(
-    message: Message, bound: list[Bound], contactor: Contactor, cells: int, sensors: int, source: str | Path
+    message: Message, bound: list[Bound], states: States, cells: int, sensors: int, source: str | Path
 ) -> Read[Sample]:
     """The function from a payload of `message` to a sample, by way of its multiplexer if it has one."""
 
     def page_reader(bound: list[Bound]) -> Read[Sample]:
-        return _page_reader(bound, contactor, cells, sensors)
+        return _page_reader(bound, states, cells, sensors)
 
     multiplexers = {b.signal.multiplexer_signal for b in bound} - {None}
     if not multiplexers:
@@ -85,9 +109,11 @@ def _reader(
     return read
 
 
-def _page_reader(bound: list[Bound], contactor: Contactor, cells: int, sensors: int) -> Read[Sample]:
+def _page_reader(bound: list[Bound], states: States, cells: int, sensors: int) -> Read[Sample]:
     """The function from a payload to a sample made once, in which only what the page carries is ever set."""
-    measured = [b for b in bound if b.role != "contactor"]
+    contactor, balancing = states
+    bleeds = [(b.index, b.extract) for b in bound if b.role == "balancing"]
+    measured = any(b.role in BASE for b in bound)
     switch = next((b.extract for b in bound if b.role == "contactor"), None)
     current = next((b.extract for b in bound if b.role == "current"), None)
     voltage = _gather({b.index: b.extract for b in bound if b.role == "voltage"}, cells)
@@ -104,13 +130,16 @@ def _page_reader(bound: list[Bound], contactor: Contactor, cells: int, sensors: 
             sample.temperature_degC = temperature(data)
         return sample
 
-    def read_switch(data: bytes, t_ns: int) -> Sample | None:
+    def read_states(data: bytes, t_ns: int) -> Sample | None:
+        if balancing is not None:
+            for index, bleed in bleeds:
+                balancing.hear(index, bleed(data), t_ns)
         if switch is not None:
             state = switch(data)
             contactor.is_open, contactor.t_ns = state == 1.0, None if math.isnan(state) else t_ns
         return read(data, t_ns) if measured else None
 
-    return read if switch is None else read_switch
+    return read_states if bleeds or switch is not None else read
 
 
 def _gather(extracts: dict[int, Extract], count: int) -> Callable[[bytes], PerCell] | None:

@@ -63,15 +63,7 @@ class Estimator(PerCell):
     `precision` is that of the filter's numbers: "f64", or "f32" to see what a microcontroller would.
     """
 
-    __slots__ = (
-        "_code",
-        "_params",
-        "_row",
-        "_tick",
-        "accepted",
-        "cell",
-        "t_ns",
-    )
+    __slots__ = ("_code", "_params", "_row", "_tick", "accepted", "cell", "t_ns")
 
     def __init__(
         self,
@@ -149,6 +141,8 @@ class Estimator(PerCell):
             if sensor_of is not None and not isinstance(temperature, float):
                 temperature = temperature[sensor_of]
             self._io[layout.IN_VOLTAGE], self._io[layout.IN_TEMPERATURE] = sample.voltage_V, temperature
+        if sample.bleed_A is not None:
+            self.bleed_A = sample.bleed_A
         current_A, strings_A = sample.current_A, sample.string_current_A
         if self.wiring.string_of is not None:
             current_A = math.nan

@@ -45,6 +45,7 @@ class Kind(IntFlag):
     OPEN_CIRCUIT = 2
     VOLTAGES = 4  # an array follows
     TEMPERATURES = 8
+    BLEED = 16
 
 
 class Recorder:
@@ -58,6 +59,7 @@ class Recorder:
         self._part_until_ns: int | None = None
         self._faults = Fault.NONE
         self._reason = Fault.NONE
+        self._bleed_A = estimator.bleed_A
         self._due_ns: int | None = None
         self._not_before_ns: int | None = None
         self._begin()
@@ -101,6 +103,9 @@ class Recorder:
             kind, arrays, voltage_V = kind | Kind.VOLTAGES, _packed(voltage_V), NAN
         if not isinstance(temperature_degC, float):
             kind, arrays, temperature_degC = kind | Kind.TEMPERATURES, arrays + _packed(temperature_degC), NAN
+        bleed_A = self._estimator.bleed_A
+        if bleed_A.tobytes() != self._bleed_A.tobytes():  # what the estimator has taken, whoever told it
+            self._bleed_A, kind, arrays = bleed_A, kind | Kind.BLEED, arrays + _packed(bleed_A)
         self._parts[-1][1].extend(
             ENTRY.pack(kind, t_ns, current_A, voltage_V, temperature_degC, *summary(told)) + arrays
         )

@@ -46,8 +46,16 @@ class Intake:
         if self._circuit is not None:
             contactor = self.decoder.contactor
             sample.open_circuit = self._circuit.nothing_flows(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
-        return self._alignment.put(sample)
+        return self._bled(self._alignment.put(sample), t_ns)
 
     def due(self, t_ns: int) -> Sequence[Sample]:
         """The samples that are due at `t_ns` though no frame came."""
-        return self._alignment.due(t_ns)
+        return self._bled(self._alignment.due(t_ns), t_ns)
+
+    def _bled(self, samples: Sequence[Sample], t_ns: int) -> Sequence[Sample]:
+        """Samples that leave at `t_ns`, with what was heard of balancing up to then, however late they are."""
+        balancing = self.decoder.balancing
+        if balancing is not None:
+            for sample in samples:
+                sample.bleed_A = balancing.at(t_ns)
+        return samples

@@ -93,6 +93,7 @@ class Sample:
     temperature_degC: PerCell = NAN  # array of shape (cells,), or (sensors,) where a `Wiring` says whose they are
     open_circuit: bool = False  # the contactor is known to be open: nothing flows, `current_A` is the sensor's offset
     string_current_A: NDArray[np.float64] | None = None  # (strings,) in place of `current_A`, by a `Wiring`
+    bleed_A: NDArray[np.float64] | None = None  # (cells,) what balancing takes, as `Estimator.bleed_A`; None: as before
 
 
 @dataclass(slots=True)

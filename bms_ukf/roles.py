@@ -15,7 +15,7 @@ _SHOWN = 3  # of many signals of one role
 def explained(bound: Sequence[Bound], signals: Signals | None) -> list[str]:
     """A line for each signal of the map, of many alike the first and last."""
     lines = []
-    for role in ("current", "voltage", "temperature", "contactor"):
+    for role in ("current", "voltage", "temperature", "contactor", "balancing"):
         here = [b for b in bound if b.role == role]
         told = here if len(here) <= _SHOWN else [here[0], here[-1]]
         lines += [f"  {role}{_number(b, len(here))}: {b.name} {_described(b, signals)}" for b in told]
@@ -34,9 +34,11 @@ def _described(bound: Bound, signals: Signals | None) -> str:
     parts = [f"(0x{message.frame_id:0{width}X}"]
     if bound.signal.multiplexer_ids:
         parts.append(f"page {', '.join(str(page) for page in bound.signal.multiplexer_ids)}")
-    if bound.role != "contactor":
+    if bound.role in BASE:
         parts.append(f"{bound.lowest:g}..{bound.highest:g} {BASE[bound.role]}")
         parts.append(f"{bound.bit:g} a bit")
+    if bound.role == "balancing":
+        parts.append(f"{bound.lowest:g}..{bound.highest:g} A taken from a cell")
     if signals is not None:
         parts += _from_config(bound, signals)
     own = signals is not None and message.name in signals.e2e

@@ -84,7 +84,6 @@ class Service:
             pack=self._setup.pack_output(self._estimator),
         )
         self._keeper = self._keeper_of(self._setup)
-        self.daemon.witness = self._recorder_of(self._setup)
         self._exporter = self._exporter_of(self._setup)
         self._store_at_s = self._status_at_s = 0.0
 
@@ -97,6 +96,7 @@ class Service:
             level = logging.INFO if stored <= Stored.USED else logging.WARNING
             log.log(level, "state: %(state)s: %(reason)s", {"state": stored.word, "reason": line})
             self.daemon.resumed(stored)
+        self.daemon.witness = self._recorder_of(self._setup)  # begins with what was taken up
         log.info("running: %(setup)s", {"setup": "; ".join(_explanation(self._setup).splitlines())})
         self._notify.ready(self._status())
 
@@ -145,7 +145,7 @@ class Service:
         """ConfigError, with everything as it was, if that cannot be done."""
         old, new = self._setup.config, setup.config
         if _fixed(self._setup) != _fixed(setup):
-            expected = "the cell, its cells, their wiring and the [estimator] section as before: restart to change them"
+            expected = "cell, cells, wiring, balancing or not, and [estimator] as before: restart to change them"
             raise ConfigError(self._path, expected=expected)
         witness = self.daemon.witness if old.recorder == new.recorder else self._recorder_of(setup)
         if old.metrics != new.metrics:
@@ -246,7 +246,8 @@ def _pack_explained(setup: Setup) -> list[str]:
 def _fixed(setup: Setup) -> tuple[object, ...]:
     """What an estimator is made of."""
     config, pack = setup.config, setup.config.pack
-    return setup.cell, config.cells, config.estimator, None if pack is None else pack.sensor_of
+    sensor_of, balances = None if pack is None else pack.sensor_of, setup.decoder.balancing is not None
+    return setup.cell, config.cells, config.estimator, sensor_of, balances
 
 
 def _place(name: str, source: Path) -> Path:

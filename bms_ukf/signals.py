@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +15,7 @@ from bms_ukf.e2e import Profile
 from bms_ukf.errors import ConfigError
 from bms_ukf.units import BASE, Conversion, Quantity, conversion, known
 
-Role = Literal["current", "voltage", "temperature", "contactor"]
+Role = Literal["current", "voltage", "temperature", "contactor", "balancing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,8 @@ class SignalMap:
     temperature: Sequence[str] = ()  # one for all cells, or one a cell
     contactor: str | None = None
     contactor_open: Sequence[int | str] = ()  # its raw values, or their names, with which no current can flow
+    balancing: Sequence[str] = ()  # one a cell: a current, or a flag that is 1 while the cell is bled and 0 while not
+    bleed_A: float | None = None  # what is taken while such a flag is 1, above 0
     not_available: Mapping[str, Sequence[int]] = field(default_factory=dict)  # raw values the DBC does not name
     plausible: Mapping[str, Sequence[float]] = field(default_factory=dict)  # [lowest, highest] in the signal's unit
     unit: Mapping[str, str] = field(default_factory=dict)  # of signals to which the DBC gives none, or a wrong one
@@ -78,7 +80,10 @@ def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, 
     if len(signals.temperature) not in {0, 1, cells} and not wired:
         expected = f"one signal, or one for each of {cells} cells (pack.sensor_of allows any number)"
         raise ConfigError(source, key="signals.temperature", value=list(signals.temperature), expected=expected)
-    measured = {signals.current, *voltages, *signals.temperature}
+    if len(signals.balancing) not in {0, cells}:
+        expected = f"one signal for each of {cells} cells"
+        raise ConfigError(source, key="signals.balancing", value=list(signals.balancing), expected=expected)
+    measured = {signals.current, *voltages, *signals.temperature, *signals.balancing}
     for key, named, known_names in (
         ("not_available", signals.not_available, measured | {signals.contactor}),
         ("plausible", signals.plausible, measured),
@@ -94,6 +99,7 @@ def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, 
         *(binding.measured("voltage", voltage_key, k, v, 1.0 / signals.series_cells) for k, v in enumerate(voltages)),
         *(binding.measured("temperature", "temperature", k, name, 1.0) for k, name in enumerate(signals.temperature)),
     ]
+    bound += [binding.balancing(k, name) for k, name in enumerate(signals.balancing)]
     if signals.contactor is not None:
         bound.append(binding.contactor(signals.contactor))
     for name in signals.e2e.keys() - {b.message.name for b in bound}:
@@ -143,6 +149,27 @@ class _Binding:
             return math.nan if raw in missing else float(raw in is_open)
 
         return Bound("contactor", 0, name, message, signal, extract, 0.0, 1.0, 1.0)
+
+    def balancing(self, index: int, name: str) -> Bound:
+        message, signal = self.matrix.find(name, source=self.source, key="signals.balancing")
+        share, unit = 1.0 / self.signals.parallel_cells, self.signals.unit.get(name, signal.unit or "")
+        if unit.strip():
+            return replace(self.measured("current", "balancing", index, name, share), role="balancing")
+        if name in self.signals.plausible:
+            expected = "a signal with a unit: a flag of balancing has no range"
+            raise ConfigError(self.source, key="signals.plausible", value=name, expected=expected)
+        if self.signals.bleed_A is None:
+            expected = f"what is taken from a cell while {name}, a flag without a unit, is 1"
+            raise ConfigError(self.source, key="pack.bleed_A", expected=expected)
+        found, on_A = Field(message, signal), self.signals.bleed_A * share
+        missing = frozenset(code & found.mask for code in self.signals.not_available.get(name, ()))
+        currents = {raw: raw * on_A for raw in (0, 1) if raw not in missing}
+        read = found.raw()
+
+        def extract(data: bytes) -> float:
+            return currents.get(read(data), math.nan)
+
+        return Bound("balancing", index, name, message, signal, extract, 0.0, on_A, on_A)
 
     def _unit(self, role: Quantity, name: str, in_dbc: str) -> tuple[Conversion, str]:
         stated = self.signals.unit.get(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def _wake(estimator: Estimator, slot: Slot, now_ns: int, t_ns: int, max_age_s: f
     except ValueError as error:
         return Stored.FOREIGN, str(error)
     estimator.sleep(off_s, t_ns)
+    estimator.bleed_A = math.nan  # what is bled now, the frames to come will say
     return Stored.USED, f"as stored {off_s:.0f} s ago"
 
 

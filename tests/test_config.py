@@ -13,7 +13,7 @@ import pytest
 from e2e.crc import calculate_crc8_h2f
 from pydantic import BaseModel
 
-from bms_ukf import ConfigError, Status, Tuning, resources, service, toml
+from bms_ukf import ConfigError, Status, Tuning, resources, roles, service, toml
 from bms_ukf.bus import SafeBus
 from bms_ukf.clock import LockstepClock
 from bms_ukf.config import Bus, Config, Lags, Metrics, PackUse, Recorder, Setup, Signals, State
@@ -84,6 +84,23 @@ def test_what_the_example_comments_out_is_valid_where_it_may_stand():
         if instead_of:
             changed = re.sub(rf"^{instead_of} = .*$", "", changed, flags=re.MULTILINE)
         Setup(toml.validate(tomllib.loads(changed), Config, EXAMPLE), EXAMPLE)
+
+
+def test_the_balancing_that_the_example_comments_out_is_valid_there():
+    text = EXAMPLE.read_text(encoding="utf-8")
+    for line in ('balancing = ["CellStatus.Balancing"]', "bleed_A = 0.1"):
+        assert f"\n# {line} " in text
+        text = text.replace(f"\n# {line} ", f"\n{line} ")
+    setup = Setup(toml.validate(tomllib.loads(text), Config, EXAMPLE), EXAMPLE)
+    assert "  balancing: CellStatus.Balancing (0x201, 0..0.1 A taken from a cell, CRC or counter checked)" in (
+        roles.explained(setup.decoder.bound, setup.config.signals)
+    )
+
+
+def test_a_bleed_without_a_flag_that_switches_it_is_refused(config):
+    for text in (MINIMAL, MINIMAL + SIGNALS):
+        with pytest.raises(ConfigError, match=r"pack\.bleed_A is 0\.1; expected it with signals\.balancing"):
+            config(text + "[pack]\nbleed_A = 0.1\n")
 
 
 def cell_status(counter: int, voltage_V: float = 3.7, relay: int = 2) -> bytes:

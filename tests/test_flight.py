@@ -69,6 +69,25 @@ def test_what_led_to_a_fault_and_what_followed_runs_again_bit_for_bit(tmp_path, 
     assert trace.t_ns[-1] >= fault_ns + AFTER_NS
 
 
+def test_what_balancing_takes_is_in_the_file_from_when_it_was_told(tmp_path):
+    """By a sample or by hand, taken back, unknown, and told by a sample too old to be taken."""
+    flown = Flown(tmp_path, 3)
+    flown.fly(1, 30)
+    for second, bleed_A in ((30, [0.5, np.nan, 0.0]), (50, [np.nan, 0.25, 0.5]), (12, [9.0, 9.0, 9.0])):
+        sample = Sample(second * SECOND_NS + 7, 1.0, bleed_A=np.array(bleed_A))
+        flown.estimator.step(sample, out=flown.estimate)
+        flown.recorder.stepped(sample, flown.estimate)
+        flown.fly(flown.estimator.t_ns // SECOND_NS + 1, 5)
+    flown.estimator.bleed_A = np.nan
+    flown.estimator.coast(70 * SECOND_NS, out=flown.estimate)
+    flown.recorder.coasted(70 * SECOND_NS, flown.estimate)
+    flown.fly(71, 5)
+    (tmp_path / "x.flight").write_bytes(flown.recorder.file(Fault.NONE))
+    _, summary = flight.rerun(tmp_path / "x.flight")
+    assert summary["warnings"] == []
+    assert summary["identical"] is True
+
+
 def test_a_difference_is_told_with_its_row(tmp_path):
     flown = Flown(tmp_path)
     flown.fly(1, 100)

@@ -40,6 +40,18 @@ file = "state"
 period_s = 0.1
 """
 
+BALANCING = f"""
+[signals]
+dbc = ["{Path(__file__).resolve().parents[1] / "models" / "configs" / "example.dbc"}"]
+current = "BatteryStatus.Current"
+current_positive = "charge"
+cell_voltage = ["CellStatus.Voltage"]
+temperature = ["CellStatus.Temperature"]
+balancing = ["CellStatus.Balancing"]
+[pack]
+bleed_A = 0.1
+"""
+
 _channels = (f"test-service-{k}" for k in itertools.count())
 
 
@@ -174,6 +186,18 @@ def test_the_recorder_writes_what_led_to_a_fault_and_it_can_be_run_again(started
     assert flight.rerun(tmp_path / "flights" / "x.flight")[1]["identical"] is True
 
 
+def test_what_is_recorded_after_a_restart_begins_with_the_belief_that_was_taken_up(started, vehicle, tmp_path):
+    text = CONFIG + '[recorder]\nfolder = "flights"\n'
+    before = started(text)
+    vehicle.drive(before, 20)
+    before.close()
+    running = started(text)
+    assert running.daemon.publication.detail.stored is Stored.USED
+    vehicle.drive(running, 3)
+    (tmp_path / "flights" / "x.flight").write_bytes(running.daemon.witness.file(Fault.BUS))
+    assert flight.rerun(tmp_path / "flights" / "x.flight")[1]["identical"] is True
+
+
 def test_every_frame_is_written_where_it_is_asked_for(tmp_path, vehicle):
     (tmp_path / "bms.toml").write_text(CONFIG)
     running = Service(tmp_path / "bms.toml", tmp_path / "frames.log")
@@ -223,6 +247,7 @@ def test_another_bus_is_opened_before_the_old_one_is_closed(started, vehicle, tm
         (CONFIG.replace("lgm50_chen2020", "a123_lfp"), "restart to change them"),
         (CONFIG.replace("format = 1", "format = 1\ncells = 3"), "restart to change them"),
         (CONFIG + "[estimator]\ngate_sigmas = 4.0", "restart to change them"),
+        (CONFIG + BALANCING, "restart to change them"),
         ("", "format"),
     ],
 )

@@ -14,10 +14,10 @@ from bms_ukf import Estimator
 from bms_ukf.dbc import Matrix
 from bms_ukf.decoder import Decoder
 from bms_ukf.e2e import Crc, Profile
-from bms_ukf.encoder import Encoder
 from bms_ukf.errors import ConfigError
 from bms_ukf.frames import Outbox
 from bms_ukf.node import SampleEncoder
+from bms_ukf.pack_encoder import PackEncoder
 from bms_ukf.records import NAN, Fault, Sample
 from bms_ukf.signals import SignalMap
 
@@ -134,7 +134,7 @@ def test_nothing_is_sent_unprotected(foreign: Matrix) -> None:
 
 
 def test_more_cells_than_the_matrix_has_are_refused() -> None:
-    for make in (SampleEncoder, Encoder, lambda cells: Decoder(cells=cells)):
+    for make in (SampleEncoder, lambda cells: PackEncoder(cells, 10.0), lambda cells: Decoder(cells=cells)):
         with pytest.raises(ConfigError):
             make(403)
 

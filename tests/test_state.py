@@ -145,6 +145,15 @@ def test_a_medium_that_is_slow_or_full_holds_nobody_up(tmp_path, monkeypatch, ca
     assert "No space left on device" in caplog.messages[0]
 
 
+def test_balancing_is_not_taken_to_go_on_after_a_restart(tmp_path):
+    path, pack = tmp_path / "state", driven(cells=2)
+    pack.bleed_A = [0.1, 0.0]
+    slots.write(path, Slot(NOW_NS, pack.snapshot()))
+    back = Estimator(CELL, 2)
+    assert taken_up(back, path) is Stored.USED
+    assert np.isnan(back.bleed_A).all()
+
+
 def test_a_pack_is_stored_whole(tmp_path):
     path, pack = tmp_path / "state", driven(cells=20)
     slots.write(path, Slot(NOW_NS, pack.snapshot()))

@@ -59,6 +59,8 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
         estimator.restore(snapshot)
     begin_s = time.perf_counter()
     for number, (sample, coasted, told) in enumerate(entries, 1):
+        if sample.bleed_A is not None:  # before a coasting, too, that somebody told it to the estimator before
+            estimator.bleed_A = sample.bleed_A
         if coasted:
             estimator.coast(sample.t_ns, out=estimate)
         else:
@@ -118,6 +120,9 @@ def _entries(data: bytes, cells: int) -> Iterator[Entry]:
         if kind & Kind.TEMPERATURES:
             temperature_degC, at = _array(data, at, cells)
         sample = Sample(t_ns, current_A, voltage_V, temperature_degC, bool(kind & Kind.OPEN_CIRCUIT))
+        if kind & Kind.BLEED:
+            bleed_A, at = _array(data, at, cells)
+            sample.bleed_A = np.asarray(bleed_A)
         yield Entry(sample, bool(kind & Kind.COAST), tuple(told))
 
 
