@@ -87,9 +87,10 @@ def test_a_compiled_tick_calls_no_allocator_and_no_python(form, lanes, bits):
 
 
 def test_the_loops_over_states_are_gone_and_their_vectors_in_registers():
-    """What is left of one cell's tick is the quadrature for wide beliefs, and its three arrays of 64 on the stack."""
+    """What is left on the stack of one cell's tick: three arrays of 64, of the quadrature, and the record it copies."""
     function = numeric_part(compiled(FORMS["[soc, v1, v2]"], 1, 64, "llvm"))
-    assert re.findall(r"alloca \[(\d+) x double\]", function) == ["64"] * 3
+    record = layout.form(2, 0, 0, 0, 1, 0).cache
+    assert re.findall(r"alloca \[(\d+) x double\]", function) == ["64"] * 3 + [str(record)]
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="looks for x86-64 vector instructions")

@@ -169,7 +169,7 @@ H_PER_CAPACITY = 25  # the cell file's capacity over the cell's own; NaN: 1
 H_RESISTANCE = 26  # the cell's resistances over the cell file's; NaN: 1
 H_SHARED = 27  # what all cells of a string know of their current's offset: its mean, A (`shared`)
 H_SHARED_VAR = 28  # and its variance, A^2
-H_THROUGH = 29  # the current of the cell: its string's and what balancing takes, A. In y it would undo vectorising
+H_THROUGH = 29  # the current of the cell: its string's and what balancing takes, A; in y it kept loops from vectors
 HELD = 30
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.

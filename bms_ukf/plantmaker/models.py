@@ -143,6 +143,7 @@ def _thevenin(model: str, values: Any, parameter_set: str, thermal: str, options
     if thermal != "lumped":
         raise ConfigError("plantmaker", key="--thermal", value=thermal, expected="lumped, as a Thevenin always is")
     built = pybamm.equivalent_circuit.Thevenin()
+    options = {name: value for name, value in options.items() if name != "var_pts"}  # of particles and electrodes
     values.update(
         {
             "Current function [A]": "[input]",
