@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 import os
 import signal
 import threading
@@ -44,12 +45,27 @@ def fleet(tmp_path: Path, rows: np.ndarray) -> Path:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
+    settings = {"dashboard_address": None, "host": "127.0.0.1", "silence_logs": logging.CRITICAL}
+    with LocalCluster(n_workers=2, threads_per_worker=1, **settings) as cluster:
+        # Its scheduler is a thread of this process, and would write into the capture of whichever test runs.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         yield cluster
 
 
 def job(recording: Path) -> Job:
     return Job(recording, None, None, Options(), Tuning(), None, None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--scheduler", "tcp://127.0.0.1:9"], "--scheduler is 'tcp://127.0.0.1:9'; expected a Dask scheduler"),
+        (["--scheduler", "nonsense://x"], "--scheduler is 'nonsense://x'; expected a Dask scheduler"),
+    ],
+)
+def test_a_scheduler_that_is_not_there_is_one_line(bms_ukf, fleet, tmp_path, monkeypatch, arguments, told):
+    monkeypatch.setattr(workers, "CONNECT_S", 1)
+    assert told in bms_ukf("replay", fleet, *CELL, "--out", tmp_path / "out", *arguments).line
 
 
 def test_a_result_in_parquet_holds_the_columns_and_the_summary_of_the_csv_and_the_json(bms_ukf, fleet, tmp_path):
@@ -122,18 +138,6 @@ def test_a_recording_that_kills_every_worker_it_is_given_to_is_named(cluster, tm
     assert sorted(done) == sorted(names)
     assert {name for name, found in done.items() if found.mistake} == {"deadly"}
     assert workers.DIED in str(done["deadly"].mistake)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--scheduler", "tcp://127.0.0.1:9"], "--scheduler is 'tcp://127.0.0.1:9'; expected a Dask scheduler"),
-        (["--scheduler", "nonsense://x"], "--scheduler is 'nonsense://x'; expected a Dask scheduler"),
-    ],
-)
-def test_a_scheduler_that_is_not_there_is_one_line(bms_ukf, fleet, tmp_path, monkeypatch, arguments, told):
-    monkeypatch.setattr(workers, "CONNECT_S", 1)
-    assert told in bms_ukf("replay", fleet, *CELL, "--out", tmp_path / "out", *arguments).line
 
 
 def test_results_in_parquet_need_a_place(bms_ukf, fleet):
