@@ -1,4 +1,4 @@
-"""Frames in, SoC frames out, on python-can's virtual bus: what is published while all is well, and while it is not."""
+"""Frames in, SoC frames out, on a virtual bus: what is published while all is well, in silence, at a steady period."""
 
 from __future__ import annotations
 
@@ -6,197 +6,42 @@ import errno
 import itertools
 import math
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from model_cell import ModelCell
+from daemon_rig import (
+    AGE_BIT,
+    CELL_SIGMA,
+    CELL_SOC,
+    COUNTERS,
+    INNOVATION_BIT,
+    NIS_BIT,
+    PACK,
+    PACK_STATE,
+    QUALITY,
+    SECOND_NS,
+    SIGMA_BIT,
+    SOC,
+    SOC_BIT,
+    STATE,
+    VOLTAGE_BIT,
+    charge,
+    message,
+    read,
+    rig_of,
+)
 
-from bms_ukf import CellParams, Estimate, Estimator, Fault, Sample, Status, Tuning, clock
+from bms_ukf import Estimator, Fault, Sample, Status
 from bms_ukf import core as core_module
 from bms_ukf.alignment import Alignment
-from bms_ukf.bus import SafeBus, open_bus
-from bms_ukf.clock import LockstepClock, StampClock
-from bms_ukf.config import Bus
-from bms_ukf.core import FAULT_HOLD_NS
-from bms_ukf.daemon import Daemon
 from bms_ukf.dbc import own_matrix
-from bms_ukf.decoder import Decoder
 from bms_ukf.intake import Intake
-from bms_ukf.node import EstimateDecoder, SampleEncoder
 from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.pace import Pace
 from bms_ukf.pack_output import PackOutput
-
-SECOND_NS = 1_000_000_000
-SILENCE_S = 2.5  # between two and three of the samples below, one a second
-COUNTERS = 15  # an alive counter is 0..14
-SOC_BIT, SIGMA_BIT = 0.0025e-2, 0.0025e-2  # what a bit of the DBC is worth
-VOLTAGE_BIT, INNOVATION_BIT, NIS_BIT, AGE_BIT = 0.0002, 0.0001, 0.01, 0.01
-PACK, CELLS, TEMPERATURES, SOC, QUALITY, STATE = 0x120, 0x121, 0x122, 0x220, 0x221, 0x222
-DETAIL, HEALTH = 0x224, 0x225
-CELL_SOC, PACK_STATE, CELL_SIGMA = 0x223, 0x226, 0x22B
-
-_channels = (f"test-daemon-{k}" for k in itertools.count())
-
-
-def load_A(k: int) -> float:
-    """A drive of sorts, in whole milliampere: rests, discharge, and a little charge."""
-    return round(5.0 * math.sin(0.05 * k) + 2.5, 3) if k % 60 > 5 else 0.0
-
-
-@pytest.fixture
-def samples(cell):
-    """Makes the samples of a drive, one a second, in units the DBC can carry."""
-
-    def make(count: int) -> list[Sample]:
-        battery = ModelCell(cell, soc=0.8)
-        made = []
-        for k in range(count):
-            voltage_V = battery.step(load_A(k), 1.0)
-            made.append(Sample((k + 1) * SECOND_NS, load_A(k), round(voltage_V / 0.0005) * 0.0005, 25.0))
-        return made
-
-    return make
-
-
-def charge(drive: list[Sample], cell: CellParams) -> float:
-    """What a second's drive per sample takes from SoC."""
-    return sum(sample.current_A for sample in drive) / 3600 / cell.cell.capacity_Ah
-
-
-def read(frames: list[can.Message]) -> dict[str, dict[str, Any]]:
-    """The last of each message, as cantools reads it."""
-    by_id = {m.frame_id: m for m in own_matrix().sound()}
-    return {by_id[m.arbitration_id].name: by_id[m.arbitration_id].decode(bytes(m.data)) for m in frames}  # type: ignore[misc]
-
-
-class Published(NamedTuple):
-    """One SocEstimate and the BmsState before it, as cantools reads them."""
-
-    status: Status
-    soc: float  # NaN if not available
-    sigma: float
-    counter: int
-    faults: set[str]
-
-
-class Rig:
-    """A vehicle, the daemon and a witness of what it publishes, on one bus; the test sets the time."""
-
-    def __init__(self, cell: CellParams, cells: int = 1, **options: Any) -> None:
-        settings = Bus(interface="virtual", channel=next(_channels))
-        self.clock = LockstepClock()
-        self.vehicle = open_bus(settings, "vehicle")
-        self.bus = SafeBus(lambda: open_bus(settings, "daemon"))
-        self.estimator = Estimator(cell, cells, options.pop("tuning", None))
-        self.decoder = Decoder(cells=cells)
-        options = {"clock": self.clock, "pace": Pace(SILENCE_S)} | options
-        self.daemon = Daemon(self.bus, self.estimator, Intake(self.decoder), **options)
-        self.encoder = SampleEncoder(cells)
-
-    def close(self) -> None:
-        self.bus.close()
-        self.vehicle.shutdown()
-
-    def send(self, *messages: can.Message) -> None:
-        """Let the daemon handle these."""
-        for message in messages:
-            self.vehicle.send(message)
-        while self.daemon.poll(0.0):
-            pass
-
-    def feed(self, sample: Sample) -> None:
-        self.clock.set(sample.t_ns)
-        self.send(*(message(*frame, stamp_s=sample.t_ns * 1e-9) for frame in self.encoder.encode(sample)))
-
-    def silence(self, t_ns: int) -> None:
-        """Nothing on the bus until `t_ns`."""
-        self.clock.set(t_ns)
-        self.daemon.run(Once())  # type: ignore[arg-type]
-
-    def frames(self) -> list[can.Message]:
-        """What was published since the last call, without what only displays and logs want."""
-        return [message for message in self.all_frames() if message.arbitration_id not in {DETAIL, HEALTH}]
-
-    def all_frames(self) -> list[can.Message]:
-        return list(iter(lambda: self.vehicle.recv(0.0), None))
-
-    def published(self) -> list[Published]:
-        """The same, read by cantools: a row for every set of frames."""
-        return [_published(state, soc) for state, _, soc in sets(self.frames())]
-
-    def estimates(self) -> list[Estimate]:
-        """The same, read as a monitor would."""
-        monitor = EstimateDecoder()
-        read = [monitor.decode(m.arbitration_id, False, bytes(m.data), 0) for m in self.frames()]
-        return [estimate for estimate in read if estimate is not None]
-
-
-class Once:
-    """A request to stop that comes after one turn of the daemon's loop."""
-
-    def __init__(self) -> None:
-        self._asked = 0
-
-    def is_set(self) -> bool:
-        self._asked += 1
-        return self._asked > 1
-
-
-def message(arbitration_id: int, extended: bool, data: bytes, *, stamp_s: float = 0.0, **kind: bool) -> can.Message:
-    return can.Message(stamp_s, arbitration_id, extended, data=data, **kind)
-
-
-def sets(frames: list[can.Message]) -> list[tuple[can.Message, ...]]:
-    """Published frames of a single cell in sets of BmsState, SocQuality, SocEstimate."""
-    rows = list(zip(*[iter(frames)] * 3, strict=True))
-    assert all([m.arbitration_id for m in row] == [STATE, QUALITY, SOC] for row in rows)
-    return rows
-
-
-def _published(state: can.Message, soc: can.Message) -> Published:
-    matrix = own_matrix()
-    signals: dict[str, Any] = matrix.message("SocEstimate").decode(bytes(soc.data), decode_choices=False)  # type: ignore[assignment]
-    bits: dict[str, Any] = matrix.message("BmsState").decode(bytes(state.data), decode_choices=False)  # type: ignore[assignment]
-    missing = bytes(soc.data)[2:4] == b"\xff\xff"
-    return Published(
-        Status(signals["Status"]),
-        math.nan if missing else signals["Soc"] / 100,
-        math.nan if missing else signals["SocSigma"] / 100,
-        signals["AliveCounter"],
-        {name.removeprefix("Fault") for name, bit in bits.items() if name.startswith("Fault") and bit},
-    )
-
-
-@contextmanager
-def rig_of(cell: CellParams, cells: int = 1, **options: Any) -> Iterator[Rig]:
-    rig = Rig(cell, cells, **options)
-    yield rig
-    rig.close()
-
-
-@pytest.fixture
-def rig(cell, monkeypatch):
-    monkeypatch.setattr(core_module, "PATIENCE_NS", 0)
-    with rig_of(cell) as rig:
-        yield rig
-
-
-@pytest.fixture
-def settled(rig, samples):
-    """A rig whose estimator has seen a minute of driving; what it published then is read and gone."""
-    for sample in samples(60):
-        rig.feed(sample)
-    rig.frames()
-    return rig
-
 
 # --- all is well ----------------------------------------------------------------------------------------------------
 
@@ -524,247 +369,3 @@ def test_signals_that_arrive_late_are_estimated_as_if_they_did_not(cell, samples
         known = [replace(punctual.step(sample)) for sample in samples(100)]
     assert [e.soc for e in told[1:]] == pytest.approx([e.soc for e in known[1:]], abs=2e-5)
     assert [e.nis for e in told[1:]] == pytest.approx([e.nis for e in known[1:]], abs=0.02)
-
-
-# --- frames that are not to be trusted ------------------------------------------------------------------------------
-
-
-def corrupted(data: bytes) -> bytes:
-    return bytes([data[0] ^ 0x01]) + data[1:]
-
-
-@pytest.mark.parametrize(
-    ("spoil", "counter"),
-    [
-        (lambda frame: message(frame[0], frame[1], corrupted(frame[2])), "crc"),
-        (lambda frame: message(frame[0], frame[1], frame[2][:7]), "short"),
-        (lambda frame: message(frame[0], frame[1], b""), "short"),
-    ],
-    ids=["bad CRC", "short", "empty"],
-)
-def test_a_spoilt_frame_is_counted_shown_for_a_while_and_changes_nothing_else(settled, samples, spoil, counter):
-    drive = samples(63)
-    before = settled.estimator.snapshot()
-    frames = settled.encoder.encode(drive[60])
-    settled.clock.set(drive[60].t_ns)
-    settled.send(*map(spoil, frames))
-    assert settled.estimator.snapshot() == before
-    assert getattr(settled.decoder.counters, counter) == len(frames)
-    assert settled.published() == []
-
-    settled.feed(drive[61])
-    (told,) = settled.published()
-    assert "E2e" in told.faults
-    assert told.status is Status.DEGRADED
-    settled.feed(replace(drive[62], t_ns=drive[61].t_ns + FAULT_HOLD_NS - 1))
-    assert "E2e" in settled.published()[0].faults
-    settled.feed(replace(drive[62], t_ns=drive[61].t_ns + FAULT_HOLD_NS))
-    (told,) = settled.published()
-    assert told.faults == set()
-    assert told.status is Status.OK
-
-
-def test_a_sender_that_hangs_is_refused_and_its_value_is_soon_missing(settled, samples):
-    drive = samples(80)
-    stuck = [message(*frame) for frame in settled.encoder.encode(drive[60])]
-    settled.clock.set(drive[60].t_ns)
-    settled.send(*stuck)
-    accepted = settled.estimator.accepted
-    settled.frames()
-    for sample in drive[61:]:
-        settled.clock.set(sample.t_ns)
-        settled.send(*stuck)
-        settled.silence(sample.t_ns)
-    assert settled.estimator.accepted == accepted
-    assert settled.decoder.counters.counter == 3 * len(drive[61:])
-    told = settled.published()
-    assert len({row.counter for row in told}) == 1, "a hanging sender must not make the estimator look alive"
-    assert {"CurrentMissing", "VoltageMissing", "E2e"} <= told[-1].faults
-
-
-@pytest.mark.parametrize(
-    ("foreign", "counter"),
-    [
-        (message(PACK, False, b"", is_remote_frame=True), "not_data"),
-        (message(0x20000004, True, bytes(8), is_error_frame=True), "not_data"),
-        (message(PACK, False, bytes(8), is_fd=True), "not_data"),
-        (message(0x7FF, False, bytes(8)), "unknown_id"),
-        (message(PACK, True, bytes(8)), "unknown_id"),
-    ],
-    ids=["remote", "error", "FD", "unknown id", "extended id"],
-)
-def test_a_foreign_frame_is_counted_and_is_no_fault(settled, samples, foreign, counter):
-    before = settled.estimator.snapshot()
-    settled.send(foreign)
-    assert settled.estimator.snapshot() == before
-    assert getattr(settled.decoder.counters, counter) == 1
-    settled.feed(samples(61)[-1])
-    (told,) = settled.published()
-    assert told.faults == set()
-
-
-def test_frames_lost_on_the_way_are_shown(settled, samples):
-    drive = samples(64)
-    settled.encoder.encode(drive[60])  # never arrives
-    settled.feed(drive[61])
-    (told,) = settled.published()
-    assert told.faults == {"Bus"}
-    assert told.status is Status.DEGRADED
-    settled.feed(drive[63])
-    assert settled.published()[0].faults == set()
-
-
-# --- a failing interface --------------------------------------------------------------------------------------------
-
-
-class Flaky:
-    """A python-can bus in front of another one, which fails with `error` while that is set."""
-
-    def __init__(self, inner: can.BusABC) -> None:
-        self.inner = inner
-        self.error: Exception | None = None
-
-    def recv(self, timeout: float) -> can.Message | None:
-        self._fail()
-        return self.inner.recv(timeout)
-
-    def send(self, frame: can.Message) -> None:
-        self._fail()
-        self.inner.send(frame)
-
-    def shutdown(self) -> None:
-        """The inner bus is opened once and kept."""
-
-    def _fail(self) -> None:
-        if self.error is not None:
-            raise self.error
-
-
-@pytest.fixture
-def flaky(settled):
-    """The interface of a settled rig's daemon, which the test can break."""
-    flaky = Flaky(settled.bus._bus)  # its opener gives the same again
-    settled.bus._bus, settled.bus._opener = flaky, lambda: flaky
-    yield flaky
-    flaky.inner.shutdown()
-
-
-@pytest.mark.parametrize(
-    "error",
-    [can.CanOperationError("down", errno.ENETDOWN), can.CanError("broken"), OSError(errno.ENODEV, "gone")],
-    ids=["network down", "python-can", "operating system"],
-)
-def test_the_state_survives_a_failing_interface_and_the_failure_is_shown(settled, flaky, cell, error, samples):
-    drive = samples(70)
-    before = replace(settled.daemon.estimate)
-    flaky.error = error
-    settled.silence(before.t_ns + SECOND_NS)
-    assert settled.bus.counters.receive_failed == 1
-    flaky.error = None
-    settled.bus._retry_at = 0.0
-    for sample in drive[61:]:
-        settled.feed(sample)
-    told = settled.published()
-    assert "Bus" in told[0].faults
-    assert told[-1].faults == set()
-    assert settled.bus.counters.reopened == 1
-    assert told[-1].soc == pytest.approx(before.soc - charge(drive[60:], cell), abs=0.005)
-
-
-def test_a_full_queue_loses_the_answer_and_nothing_else(settled, flaky, samples):
-    drive = samples(62)
-
-    def full(_: can.Message) -> None:
-        raise can.CanOperationError("queue full", errno.ENOBUFS)
-
-    flaky.send = full
-    settled.feed(drive[60])
-    assert settled.published() == []
-    assert settled.bus.counters.send_failed >= 4
-    del flaky.send
-    settled.feed(drive[61])
-    (told,) = settled.published()
-    assert told.faults == {"Bus"}
-    assert settled.bus.counters.reopened == 0
-
-
-# --- time -----------------------------------------------------------------------------------------------------------
-
-
-class Monotonic:
-    now_ns = 0
-
-    def monotonic_ns(self) -> int:
-        return self.now_ns
-
-
-@given(gaps_ms=st.lists(st.integers(1, 4000), min_size=20, max_size=40))
-@settings(max_examples=20)
-def test_charge_is_counted_over_the_time_between_frames_and_not_per_frame(cell, gaps_ms):
-    """Frames as they come, at any intervals below current_timeout_s: no polling period is assumed."""
-    with rig_of(cell, tuning=Tuning(current_bias=False)) as rig:
-        rig.feed(Sample(0, 0.0, 3.8, 25.0))
-        start, t_ns = rig.daemon.estimate.soc, 0
-        for gap_ms in gaps_ms:
-            t_ns += gap_ms * 1_000_000
-            rig.clock.set(t_ns)
-            rig.send(message(*rig.encoder.pack(Sample(t_ns, current_A=3.0, voltage_V=3.8))))
-        moved = 3.0 * t_ns * 1e-9 / 3600 / cell.cell.capacity_Ah
-        assert start - rig.daemon.estimate.soc == pytest.approx(moved, abs=1e-6)
-
-
-@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
-def test_setting_the_wall_clock_moves_no_charge(cell, monkeypatch, step_s, samples):
-    monotonic = Monotonic()
-    monkeypatch.setattr(clock, "time", monotonic)
-
-    def final(step_s: float) -> Estimate:
-        with rig_of(cell, clock=StampClock()) as rig:
-            for k, sample in enumerate(samples(60)):
-                monotonic.now_ns += SECOND_NS
-                stamp_s = 1.79e9 + k + (step_s if k >= 30 else 0.0)
-                rig.send(*(message(*frame, stamp_s=stamp_s) for frame in rig.encoder.encode(sample)))
-            return replace(rig.daemon.estimate)
-
-    steady, stepped = final(0.0), final(step_s)
-    assert stepped.soc == pytest.approx(steady.soc, abs=1e-9)
-    assert stepped.status is Status.OK
-
-
-# --- anything at all ------------------------------------------------------------------------------------------------
-
-ANY_FRAME = st.builds(
-    can.Message,
-    timestamp=st.floats(0, 1e10),
-    arbitration_id=st.sampled_from([PACK, CELLS, TEMPERATURES, SOC, 0x7FF]),
-    is_extended_id=st.just(False),
-    is_remote_frame=st.just(False),
-    is_error_frame=st.booleans(),
-    data=st.binary(max_size=8),
-)
-ANY_VALUE = st.one_of(st.just(math.nan), st.floats(-1e4, 1e4), st.floats(2.0, 4.5))
-ANY_SAMPLE = st.builds(
-    Sample,
-    t_ns=st.integers(0, 10**13),
-    current_A=ANY_VALUE,
-    voltage_V=st.one_of(ANY_VALUE, st.floats(2.5, 4.2)),
-    temperature_degC=st.one_of(ANY_VALUE, st.floats(-40, 80)),
-)
-
-
-@settings(max_examples=150, deadline=None)
-@given(events=st.lists(st.one_of(ANY_FRAME, ANY_SAMPLE), max_size=25))
-def test_no_frames_in_any_order_raise_or_make_an_ok_soc_outside_0_to_1(cell, events):
-    with rig_of(cell) as rig:
-        for event in events:
-            if isinstance(event, Sample):
-                rig.feed(event)
-            else:
-                rig.send(event)
-            for told in rig.published():
-                available = told.status in {Status.OK, Status.DEGRADED}
-                assert available == (not math.isnan(told.soc))
-                assert not available or 0.0 <= told.soc <= 1.0
-        shown = rig.daemon.estimate
-        assert shown.status in set(Status)
-        assert Fault(shown.faults) == shown.faults

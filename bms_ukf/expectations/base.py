@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Self
 
@@ -29,13 +30,13 @@ class Expectation(toml.Section):
 
     kind: str
 
+    @abstractmethod
     def wanted(self) -> str:
         """In words."""
-        raise NotImplementedError
 
+    @abstractmethod
     def judge(self, record: Record) -> tuple[bool, str]:
         """Whether the run was so, and what was found."""
-        raise NotImplementedError
 
     def refers_to(self) -> str | None:
         """The name of the fault it is about."""

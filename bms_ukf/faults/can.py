@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import heapq
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from itertools import count
 from typing import Annotated, Literal
@@ -31,9 +32,9 @@ class FrameFault(CanFault):
 
     message: Literal["PackMeasurement", "CellVoltages", "CellTemperatures"] | None = None
 
+    @abstractmethod
     def effect(self, dice: Generator) -> Effect:
         """What becomes of a frame that reaches the daemon at a time."""
-        raise NotImplementedError
 
     def id(self) -> int | None:
         return None if self.message is None else int(own_matrix().message(self.message).frame_id)
@@ -154,11 +155,13 @@ class RewoundCounter(FrameFault):
 class Source(CanFault):
     """Frames that are not the vehicle's."""
 
+    @abstractmethod
     def frames_per_s(self) -> float:
-        raise NotImplementedError
+        """How many there are."""
 
+    @abstractmethod
     def frame(self, dice: Generator) -> Frame:
-        raise NotImplementedError
+        """The next one."""
 
 
 class BabblingId(Source):

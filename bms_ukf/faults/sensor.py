@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Annotated, Literal, Self
 
@@ -27,8 +28,9 @@ class SensorFault(Injection):
             raise ValueError("no cell: one current flows through all")
         return self
 
+    @abstractmethod
     def effect(self, dice: Generator) -> Effect:
-        raise NotImplementedError
+        """What it makes of a measured value."""
 
 
 class Offset(SensorFault):

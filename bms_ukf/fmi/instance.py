@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -37,7 +38,7 @@ class FatalError(Exception):
     """A call returned Fatal: the standard allows no further call."""
 
 
-class Instance:
+class Instance(ABC):
     """A co-simulation instance. Subclasses make the calls of one version of the standard."""
 
     types: ClassVar[Types]
@@ -50,16 +51,17 @@ class Instance:
         self._outputs = blocks(self.types, plan["outputs"])
         self._dll = self._load(plan["library"])
 
+    @abstractmethod
     def start(self) -> list[float]:
         """From nothing to the first communication point; the outputs there."""
-        raise NotImplementedError
 
+    @abstractmethod
     def step(self, t: float, step: float, parts: int, inputs: Sequence[float]) -> list[float]:
         """Holds the inputs over `parts` steps that make up `step`: the time reached and the outputs there."""
-        raise NotImplementedError
 
+    @abstractmethod
     def end(self) -> None:
-        raise NotImplementedError
+        """Tells the FMU that it is over, and lets go of it."""
 
     def _load(self, library: str) -> ctypes.CDLL:
         self.announce("loading the library")
