@@ -1,6 +1,6 @@
 """The daemon without its bus and its clock: received frames in, sets to be published out, in the time of the frames.
 
-    intake.take -> Sample -> Estimator.step -> Estimate -> publication.complete -> a set
+    intake.take -> Scan -> Sample -> Estimator.step -> Estimate -> publication.complete -> a set
 
 `daemon.Daemon` has it on a bus, a replay drives it with the frames of a log: what the two say cannot differ.
 """
@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +19,7 @@ from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
 from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored, mean_known
-from bms_ukf.scan import Scan
+from bms_ukf.scan import TOGETHER_NS, Scan
 from bms_ukf.stuck import Stuck
 
 FAULT_HOLD_NS = 1_000_000_000
@@ -50,7 +49,7 @@ class Core:
         self.published = 0  # sets of frames
         self.witness: Witness | None = None
         self.stuck = Stuck(estimator.cell, estimator.cells)
-        self._scan = Scan(estimator.cells)
+        self._scan = Scan(estimator.cells, self._step, self._end_scan)
         self._published_ns = 0
         self._stepped = False  # since the last set
         self._adopt(intake, pace)
@@ -64,25 +63,30 @@ class Core:
     def hear(self, arbitration_id: int, is_extended_id: bool, data: bytes, t_ns: int, *, classic: bool = True) -> None:
         """Handle a frame received at `t_ns`, as of `Inbox.decode`; a complete scan is answered by publishing."""
         samples = self.intake.take(arbitration_id, is_extended_id, data, t_ns, classic=classic)
-        if samples:
-            self._handle(samples)
+        for sample in samples:
+            self._scan.take(sample)
         self.idle(t_ns)
 
     def idle(self, t_ns: int) -> None:
         """Publish every period, or a prediction after too long a silence: it must not look like a steady SoC."""
+        if self._scan.held_ns is not None:
+            self._scan.due(t_ns - self.intake.behind_ns)
         if self._due_after_ns is None or t_ns - self._published_ns < self._due_after_ns:
             return
-        self._handle(self.intake.due(t_ns))
+        for sample in self.intake.due(t_ns):
+            self._scan.take(sample)
+        self._scan.flush()
         if not (self._periodic and self._stepped):
             self._coast(t_ns - self.intake.behind_ns)
         self._publish(t_ns)
 
     def patience_ns(self, now_ns: int) -> int:
         """How long to wait for a frame before `idle` is due."""
+        patience_ns = PATIENCE_NS if self._scan.held_ns is None else TOGETHER_NS
         if not self._periodic or self._due_after_ns is None:
-            return PATIENCE_NS
+            return patience_ns
         left_ns = self._published_ns + self._due_after_ns - now_ns
-        return PATIENCE_NS if left_ns > PATIENCE_NS else left_ns if left_ns > 0 else 0
+        return patience_ns if left_ns > patience_ns else left_ns if left_ns > 0 else 0
 
     def _adopt(self, intake: Intake, pace: Pace) -> None:
         self.intake = intake
@@ -100,26 +104,26 @@ class Core:
     def _send(self, t_ns: int, detail: Detail) -> None:
         """Send the set that `estimate` and `detail` are."""
 
-    def _handle(self, samples: Sequence[Sample]) -> None:
+    def _step(self, sample: Sample) -> None:
         estimate, witness = self.estimate, self.witness
-        for sample in samples:
-            self.stuck.take(sample)
-            voltage = sample.voltage_V
-            heard = None if isinstance(voltage, float) else (voltage == voltage).nonzero()[0]  # noqa: PLR0124 - not NaN
-            if _is_empty(sample, heard):  # its sender lives, and knows nothing: no reason to look alive
-                self._coast(sample.t_ns)
-                self.publication.follow(sample, estimate, heard)
-                continue
-            self.estimator.step(sample, out=estimate)
-            if witness is not None:
-                witness.stepped(sample, estimate)
+        self.stuck.take(sample)
+        voltage = sample.voltage_V
+        heard = None if isinstance(voltage, float) else (voltage == voltage).nonzero()[0]  # noqa: PLR0124 - not NaN
+        if _is_empty(sample, heard):  # its sender lives, and knows nothing: no reason to look alive
+            self._coast(sample.t_ns)
             self.publication.follow(sample, estimate, heard)
-            if not (int(estimate.faults) | int(self.stuck.fault)) & _IMPLAUSIBLE:
-                self.commissioning.see(sample)
-            self._stepped = True
-            read = voltage if isinstance(voltage, float) else heard
-            if self._scan.ends_with(read) and not self._periodic:  # type: ignore[arg-type]
-                self._publish(sample.t_ns + self.intake.behind_ns)
+            return
+        self.estimator.step(sample, out=estimate)
+        if witness is not None:
+            witness.stepped(sample, estimate)
+        self.publication.follow(sample, estimate, heard)
+        if not (int(estimate.faults) | int(self.stuck.fault)) & _IMPLAUSIBLE:
+            self.commissioning.see(sample)
+        self._stepped = True
+
+    def _end_scan(self, t_ns: int) -> None:
+        if not self._periodic:
+            self._publish(t_ns + self.intake.behind_ns)
 
     def _coast(self, t_ns: int) -> None:
         self.estimator.coast(t_ns, out=self.estimate)

@@ -118,7 +118,7 @@ def _page_reader(bound: list[Bound], states: States, cells: int, sensors: int) -
     current = next((b.extract for b in bound if b.role == "current"), None)
     voltage = _gather({b.index: b.extract for b in bound if b.role == "voltage"}, cells)
     temperature = _gather({b.index: b.extract for b in bound if b.role == "temperature"}, sensors)
-    sample = Sample(0, NAN, _unset(cells), _unset(sensors))
+    sample = Sample(0)
 
     def read(data: bytes, t_ns: int) -> Sample:
         sample.t_ns = t_ns
@@ -156,10 +156,6 @@ def _gather(extracts: dict[int, Extract], count: int) -> Callable[[bytes], PerCe
         return values
 
     return gather
-
-
-def _unset(count: int) -> PerCell:
-    return NAN if count == 1 else np.full(count, NAN)
 
 
 def _nothing(_: bytes, __: int) -> Sample | None:

@@ -85,7 +85,7 @@ MAY_IMPORT = {
     "publication": {"records"},
     "pace": set(),
     "framelog": {"errors"},
-    "scan": set(),
+    "scan": {"records"},
     "monitor": CODEC | {"bus", "config", "errors", "metrics", "monitor", "records", "view"},
     "flight": {"estimator", "records"},
     "slots": set(),
