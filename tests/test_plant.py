@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
+import fmpy
 import pytest
 
 import bms_ukf
@@ -117,6 +119,28 @@ def test_an_fmu_for_other_platforms_is_refused_naming_them_and_ours(make_fmu):
 
 def test_a_library_that_does_not_load_is_refused(make_fmu):
     files = {"modelDescription.xml": description(), "binaries/linux64/fake.so": "not a library"}
+    assert "can be loaded here" in refusal(make_fmu(files), variables=BARE, validate=False)
+
+
+def elf(machine: int) -> bytes:
+    """The start of a library of 64 bits for a machine, by its number in elf(5)."""
+    return b"\x7fELF\x02\x01".ljust(18, b"\0") + machine.to_bytes(2, "little")
+
+
+def test_a_library_for_another_processor_is_refused_though_its_folder_has_the_name_of_this_platform(make_fmu):
+    x86_64, aarch64 = 62, 183
+    other = x86_64 if platform.machine() == "aarch64" else aarch64
+    files = {"modelDescription.xml": description(), "binaries/linux64/fake.so": elf(other)}
+    line = refusal(make_fmu(files), variables=BARE, validate=False)
+    assert "linux64/fake.so" in line
+    assert f"expected one for this machine's processor, {fmpy.platform_tuple}" in line
+
+
+def test_the_folder_with_the_processors_own_name_is_used_where_linux64_is_for_another(make_fmu):
+    x86_64, aarch64 = 62, 183
+    other = x86_64 if platform.machine() == "aarch64" else aarch64
+    own = f"binaries/{fmpy.platform_tuple}/fake.so"
+    files = {"modelDescription.xml": description(), "binaries/linux64/fake.so": elf(other), own: "not a library"}
     assert "can be loaded here" in refusal(make_fmu(files), variables=BARE, validate=False)
 
 

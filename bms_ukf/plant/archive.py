@@ -73,18 +73,40 @@ def library(path: Path, folder: Path, description: Any) -> Path:
     file = f"{description.coSimulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
     candidates: list[Path] = [folder / "binaries" / name / file for name in names]
     for candidate in candidates:
-        if candidate.is_file():
+        if candidate.is_file() and not _is_foreign(candidate):
             return candidate
     if not description.buildConfigurations or not (folder / "sources").is_dir():
         found = ", ".join(platforms(folder)) or "none, and no sources"
         misnamed = [
-            f"{other.parent.name}/{other.name}" for name in names for other in (folder / "binaries" / name).glob("*.so")
+            f"{other.parent.name}/{other.name}"
+            for name in names
+            for other in (folder / "binaries" / name).glob("*.so")
+            if other.name != file
         ]
         if misnamed:
             raise ConfigError(path, key="binaries", value=", ".join(misnamed), expected=f"{names[0]}/{file}")
+        foreign = [f"{candidate.parent.name}/{file}" for candidate in candidates if candidate.is_file()]
+        if foreign:
+            expected = f"one for this machine's processor, {fmpy.platform_tuple}"
+            raise ConfigError(path, key="binaries", value=", ".join(foreign), expected=expected)
         raise ConfigError(path, key="binaries", value=found, expected=f"one for this machine, {names[0]}")
     _compile(path, folder, candidates[0])
     return candidates[0]
+
+
+def _is_foreign(library: Path) -> bool:
+    """Whether a library is one for another processor: linux64 of FMI 2.0 does not say which.
+
+    The header of an ELF file has its word size, byte order and machine (elf(5)); the interpreter's is of this one.
+    """
+    theirs, ours = (_start(file) for file in (library, Path(sys.executable)))
+    both = theirs.startswith(b"\x7fELF") and ours.startswith(b"\x7fELF")
+    return both and (theirs[4:6], theirs[18:20]) != (ours[4:6], ours[18:20])
+
+
+def _start(file: Path) -> bytes:
+    with file.open("rb") as opened:
+        return opened.read(20)
 
 
 def platforms(folder: Path) -> list[str]:
