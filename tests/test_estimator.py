@@ -262,6 +262,32 @@ def test_a_pack_is_that_many_single_estimators_but_for_the_order_of_rounding(cel
         assert of_pack.faults == faults
 
 
+def test_cells_heard_a_few_at_a_time_end_as_each_would_alone():
+    """Blocks without news are not stepped within an instant; a refusal there was of the part before, and is over."""
+    cells, tuning = 40, Tuning(initial_soc=0.6, initial_soc_sigma=0.05)
+    pack, alone = Estimator(CELL, cells, tuning), [Estimator(CELL, tuning=tuning) for _ in range(cells)]
+    pack._share_ns = NEVER
+    for k, whole in enumerate(drive(8, cells, seed=3)):
+        voltage = np.where((np.arange(cells) == 39) & (k == 6), 4.1, whole.voltage_V)
+        parts = [Sample(whole.t_ns, whole.current_A, np.full(cells, NAN), 25.0)]
+        for first in reversed(range(0, cells, 8)):
+            here = np.arange(cells) // 8 == first // 8
+            parts.append(Sample(whole.t_ns, NAN, np.where(here, voltage, NAN), NAN))
+        for part in parts:
+            together = pack.step(part)
+            each = [
+                one.step(Sample(part.t_ns, part.current_A, float(part.voltage_V[c]), part.temperature_degC))
+                for c, one in enumerate(alone)
+            ]
+            assert list(pack.cell_faults) == [one.faults for one in each]
+            assert list(pack.cell_status) == [one.status for one in each]
+            for name in PER_CELL if k > 0 else ():  # before, a pack hides what part of it knows
+                values = np.array([getattr(one, name) for one in each])
+                if name != "r0_ohm" or part is parts[0]:  # later, in a block that is not stepped, as used last
+                    np.testing.assert_allclose(getattr(together, name), values, rtol=1e-9, atol=1e-9, err_msg=name)
+    assert Fault.INNOVATION_REJECTED not in together.faults
+
+
 def test_a_pack_takes_one_value_for_all_its_cells():
     pack, same = Estimator(CELL, 3), Estimator(CELL, 3)
     got = pack.step(Sample(0, 1.0, np.full(3, 3.5), 25.0))

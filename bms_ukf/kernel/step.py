@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel import adapt, belief, bias, inputs, process, voltage
+from bms_ukf.kernel import adapt, belief, bias, idle, inputs, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
@@ -37,6 +37,10 @@ def step(
     `io[row * rows + first + lane]` holds what was measured (NaN: not) and receives the results. Returns the fault bits
     of all lanes (`records.Fault`) and, from bit STATUS_SHIFT up, a bit for each status (`records.Status`) among them.
     """
+    stands = m.lanes > 1 and dt <= real(p, 0) and not is_number(current)
+    if stands and not idle.has_news(io, first, rows, lanes, real(p, OK << STATUS_SHIFT)):
+        idle.compare_nothing(io, first, rows, lanes)
+        return 1 << OK << STATUS_SHIFT
     load(s, o, w, y, m, lanes)
     inputs.take(p, w, y, io, first, rows, m, lanes, dt, current)
     gaps = inputs.share(p, w, y, m, lanes, dt)
