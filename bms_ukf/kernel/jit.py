@@ -4,27 +4,29 @@ numba optimises every function on its own before it is inlined, when loop bounds
 states get run-time checks that no later pass removes, and nothing is vectorised. Here a function to be inlined is only
 tidied, and all else is left to the entry, where its bounds are constants: loops over states vanish, their vectors
 become registers, and loops over lanes become vector instructions (`tests/test_kernel_code.py` looks). It also spares
-most of the compile time.
+most of the compile time; of what is left most is numba's own Python, which is therefore asked nothing twice.
 
 With `NUMBA_DISABLE_JIT=1` the same source runs as plain Python.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 from numba import config
-from numba.core import compiler, event
+from numba.core import compiler, event, typed_passes, types, untyped_passes
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
+from numba.core.types.functions import BaseFunction
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -81,13 +83,59 @@ def _link(library: Any) -> None:
     library._finalized = True
 
 
+# For what kernel functions have not: closures, `with`, exceptions, overloads of their own. LLVM finds constant branches.
+# After each of these numba would look at all of a function again.
+_NEEDLESS: set[Any] = {
+    untyped_passes.WithLifting,
+    untyped_passes.InlineClosureLikes,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.GenericRewrites,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.FindLiterallyCalls,
+    untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass,
+    typed_passes.InlineOverloads,
+    typed_passes.NopythonRewrites,
+    typed_passes.NoPythonSupportedFeatureValidation,
+    typed_passes.AnnotateTypes,
+    typed_passes.DumpParforDiagnostics,
+}
+
+
 class _Inlined(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         builder: Any = DefaultPassBuilder
         passes = builder.define_nopython_pipeline(self.state)
-        passes.passes = [(_Tidy if step is NativeLowering else step, why) for step, why in passes.passes]
+        steps = [(step, why) for step, why in passes.passes if step not in _NEEDLESS]
+        passes.passes = [(_Tidy if step is NativeLowering else step, why) for step, why in steps]
         passes.finalize()
         return [passes]
+
+
+@contextlib.contextmanager
+def _operators_remembered() -> Iterator[None]:
+    """What an operator makes of two numbers is asked thousands of times, and found among dozens of array operations."""
+    found: dict[Any, Any] = {}
+    function_type: Any = BaseFunction
+    look_up = function_type.get_call_type
+
+    def remembered(self: Any, context: Any, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
+        plain = all(isinstance(argument, types.Number | types.Boolean | types.Literal) for argument in arguments)
+        if named or not plain or not isinstance(self, types.Function):
+            return look_up(self, context, arguments, named)
+        key = self, context, arguments
+        if key not in found:
+            found[key] = look_up(self, context, arguments, named)
+        return found[key]
+
+    function_type.get_call_type = remembered
+    try:
+        yield
+    finally:
+        function_type.get_call_type = look_up
 
 
 def inline(function: F) -> F:
@@ -108,7 +156,7 @@ def entry(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
     # numba stamps a cached function with the size and time of its own file only, and wheels carry a fixed time: without
     # this a new version of an inlined function would never be compiled.
     compiled._cache._cache_file._source_stamp = source_stamp()
-    with event.install_listener("numba:compile", _Announcement()):
+    with event.install_listener("numba:compile", _Announcement()), _operators_remembered():
         call: Callable[..., Any] = compiled.compile(signature)
     DISPATCHERS.append(compiled)
     return call
@@ -125,7 +173,8 @@ def portable(function: Callable[..., Any], returns: Any, arguments: tuple[Any, .
     flags.error_model = OPTIONS["error_model"]
     _target.target_context.refresh()
     typing, context = _target.typing_context, _target.target_context
-    result = _compiler.compile_extra(typing, context, function, arguments, returns, flags, {}, None, _Inlined)
+    with _operators_remembered():
+        result = _compiler.compile_extra(typing, context, function, arguments, returns, flags, {}, None, _Inlined)
     return str(result.library._final_module), result.fndesc.llvm_func_name
 
 
