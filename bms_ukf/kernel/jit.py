@@ -83,8 +83,8 @@ def _link(library: Any) -> None:
     library._finalized = True
 
 
-# For what kernel functions have not: closures, `with`, exceptions, overloads of their own. LLVM finds constant branches.
-# After each of these numba would look at all of a function again.
+# For what kernel functions have not: closures, `with`, exceptions, overloads. LLVM finds constant branches. After each
+# of these numba would look at all of a function again.
 _NEEDLESS: set[Any] = {
     untyped_passes.WithLifting,
     untyped_passes.InlineClosureLikes,
