@@ -31,7 +31,7 @@ class Alignment:
         if self.behind_ns == 0:
             return (sample,)
         for lag_ns, part, values in (
-            (self._current_ns, Sample(0, sample.current_A, open_circuit=sample.open_circuit), sample.current_A),
+            (self._current_ns, _current_of(sample), sample.currents_A),
             (
                 self._temperature_ns,
                 Sample(0, temperature_degC=copied(sample.temperature_degC), open_circuit=sample.open_circuit),
@@ -54,6 +54,12 @@ class Alignment:
         while self._waiting and self._waiting[0][0] <= t_ns - self.behind_ns:
             ready.append(heapq.heappop(self._waiting)[2])
         return ready
+
+
+def _current_of(sample: Sample) -> Sample:
+    strings_A = sample.string_current_A
+    own = None if strings_A is None else strings_A.copy()
+    return Sample(0, sample.current_A, open_circuit=sample.open_circuit, string_current_A=own)
 
 
 def copied(values: PerCell) -> PerCell:

@@ -29,8 +29,10 @@ FACTOR = 6.0  # temperature, age and the knee of the resistance explain less; a 
 class Commissioning:
     """Looks at every sample. `fault` is what the data say is wrong: CURRENT_SIGN, CURRENT_SCALE or nothing."""
 
-    def __init__(self, cell: CellParams) -> None:
+    def __init__(self, cell: CellParams, string: int | None = None) -> None:
+        """`string` is the number by which its sensor is named, if there are several."""
         self.fault = Fault.NONE
+        self._of = "" if string is None else f" of string {string}"
         self.slope_ohm = math.nan  # of voltage over current, below 0 if all is well
         self.steps = 0.0  # that it rests upon
         self._cell, self._temperature_degC = cell, 25.0
@@ -106,13 +108,14 @@ class Commissioning:
     def _tell(self) -> None:
         seen = f"over {self.steps:.0f} steps the voltage changes by {1e3 * self.slope_ohm:.3g} mV per A of discharge"
         if self.fault is Fault.CURRENT_SIGN:
-            log.error("current: %(seen)s: its sign is wrong (signals.current_positive)", {"seen": seen})
+            told = {"of": self._of, "seen": seen}
+            log.error("current%(of)s: %(seen)s: its sign is wrong (signals.current_positive)", told)
         elif self.fault is Fault.CURRENT_SCALE:
             ratio = -self.slope_ohm / self._r0_ohm()
             log.error(
-                "current: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, or that "
-                "of the cell (signals.unit, parallel_cells, capacity_scale)",
-                {"seen": seen, "ratio": ratio},
+                "current%(of)s: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, or "
+                "that of the cell (signals.unit, parallel_cells, capacity_scale)",
+                {"of": self._of, "seen": seen, "ratio": ratio},
             )
         else:
-            log.info("current: %(seen)s: its sign and scale are right", {"seen": seen})
+            log.info("current%(of)s: %(seen)s: its sign and scale are right", {"of": self._of, "seen": seen})

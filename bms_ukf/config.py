@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from bms_ukf import resources, toml
 from bms_ukf.alignment import Alignment
@@ -30,6 +30,7 @@ from bms_ukf.wiring import Wiring
 Text = Annotated[str, Field(min_length=1)]
 Scale = Annotated[float, Field(ge=1e-3, le=1e3)]
 Index = Annotated[int, Field(ge=1, le=400)]
+Names = Annotated[list[Text], Field(min_length=1), BeforeValidator(lambda v: [v] if isinstance(v, str) else v)]
 Lag = Annotated[float, Field(ge=0, le=60)]
 
 
@@ -56,12 +57,12 @@ class Signals(toml.Section):
     """[signals]: which "Message.Signal" of the user's DBC files plays which role; without it, our own `bms.dbc`."""
 
     dbc: Annotated[list[Text], Field(min_length=1)]  # relative to the configuration file
-    current: Text
+    current: Names  # one, or one for each string of pack.string_of
     current_positive: Literal["charge", "discharge"]
     cell_voltage: list[Text] = Field(default_factory=list)  # one a cell, in order
     pack_voltage: Text | None = None  # in place of cell_voltage: the string is estimated as its mean cell
     series_cells: Annotated[int, Field(ge=1)] = 1  # how many cells pack_voltage is the sum of
-    parallel_cells: Annotated[int, Field(ge=1)] = 1  # how many cells share the current
+    parallel_cells: Annotated[int, Field(ge=1)] = 1  # how many cells share the current, or that of their string
     temperature: Annotated[list[Text], Field(min_length=1)]  # one for all cells, or one a cell
     contactor: Text | None = None
     contactor_open: list[int | Text] = Field(default_factory=list)  # raw values, or their names, with no current
@@ -107,6 +108,7 @@ class PackUse(Limits):
     """[pack]: how its cells are wired, within what they are used, and what is published of it."""
 
     sensor_of: list[Index] | None = None  # the temperature signal of each cell, counted from 1
+    string_of: list[Index] | None = None  # the string of each cell, counted from 1, each with a current of its own
     bleed_A: Annotated[float, Field(gt=0, le=100)] | None = None  # taken from a cell while its flag of balancing is 1
     cell_soc_period_s: Annotated[float, Field(ge=0.1, le=3600)] = CELL_SOC_PERIOD_S  # in which every cell's is sent
 
@@ -182,13 +184,32 @@ class Setup:
         return PackOutput(estimator, use, use.cell_soc_period_s)
 
     def _wiring(self) -> Wiring:
-        sensor_of, cells = (self.config.pack or PackUse()).sensor_of, self.config.cells
-        if sensor_of is None or cells == 1:
-            return Wiring()
-        if len(sensor_of) != cells:
-            expected = f"the number of a sensor for each of {cells} cells, not of {len(sensor_of)}"
-            raise ConfigError(self.source, key="pack.sensor_of", expected=expected)
-        return Wiring([sensor - 1 for sensor in sensor_of])
+        pack, cells = self.config.pack or PackUse(), self.config.cells
+        for key, what in (("sensor_of", "sensor"), ("string_of", "string")):
+            numbers = getattr(pack, key)
+            if numbers is not None and len(numbers) != cells > 1:
+                expected = f"the number of a {what} for each of {cells} cells, not of {len(numbers)}"
+                raise ConfigError(self.source, key=f"pack.{key}", expected=expected)
+        sensors = None if pack.sensor_of is None or cells == 1 else [sensor - 1 for sensor in pack.sensor_of]
+        strings = None if self._strings() == 1 else [string - 1 for string in pack.string_of or ()]
+        return Wiring(sensors, strings)
+
+    def _strings(self) -> int:
+        """How many there are, each with a current of its own. ConfigError unless signals and cells agree on it."""
+        string_of, signals = (self.config.pack or PackUse()).string_of, self.config.signals
+        known = set(string_of or [1])
+        strings = max(known) if signals is None else len(signals.current)
+        if strings > 1 and string_of is None:
+            expected = f"the string of each cell, for the {strings} currents of signals.current"
+            raise ConfigError(self.source, key="pack.string_of", expected=expected)
+        if strings > 1 and self.config.cells == 1:
+            expected = f"more than one, measured one by one, for {strings} strings"
+            raise ConfigError(self.source, key="cells", value=1, expected=expected)
+        if known != set(range(1, strings + 1)):
+            has = "" if signals is None else ", as many as signals.current has"
+            expected = f"strings 1 to {strings}{has}, each with a cell"
+            raise ConfigError(self.source, key="pack.string_of", value=sorted(known), expected=expected)
+        return strings
 
     def _cell(self, cell: CellParams | None) -> CellParams:
         config = self.config
@@ -210,7 +231,8 @@ class Setup:
             raise ConfigError(self.source, key="pack.bleed_A", value=pack.bleed_A, expected="it with signals.balancing")
         if signals is None:
             sensors = max(pack.sensor_of or [1])
-            return Decoder(SignalMap.default(cells, sensors), cells=cells, wired=sensors > 1, source=self.source)
+            own = SignalMap.default(cells, sensors, self.wiring.strings)
+            return Decoder(own, cells=cells, wired=sensors > 1, source=self.source)
         matrix = Matrix([self.source.parent / name for name in signals.dbc], strict=False)
         self.warnings += matrix.warnings
         protected = {name: e2e.made(name, matrix, self.source) for name, e2e in signals.e2e.items()}

@@ -20,6 +20,7 @@ from bms_ukf.pace import Pace
 from bms_ukf.publication import Publication
 from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored, mean_known
 from bms_ukf.scan import TOGETHER_NS, Scan
+from bms_ukf.strings import CommissioningStrings, StuckStrings
 from bms_ukf.stuck import Stuck
 
 FAULT_HOLD_NS = 1_000_000_000
@@ -44,11 +45,13 @@ class Core:
     def __init__(self, estimator: Estimator, intake: Intake, pace: Pace) -> None:
         self.estimator = estimator
         self.publication = Publication(estimator.cell.cell.capacity_Ah)
-        self.commissioning = Commissioning(estimator.cell)
+        cell, wiring = estimator.cell, estimator.wiring
+        self._strings = several = wiring.members()
+        self.commissioning = CommissioningStrings(cell, wiring) if several else Commissioning(cell)
         self.estimate = estimator.coast(0)  # the latest; its arrays and fields are overwritten by every frame
         self.published = 0  # sets of frames
         self.witness: Witness | None = None
-        self.stuck = Stuck(estimator.cell, estimator.cells)
+        self.stuck = StuckStrings(cell, wiring) if several else Stuck(cell, estimator.cells)
         self._scan = Scan(estimator.cells, self._step, self._end_scan)
         self._published_ns = 0
         self._stepped = False  # since the last set
@@ -79,6 +82,13 @@ class Core:
         if not (self._periodic and self._stepped):
             self._coast(t_ns - self.intake.behind_ns)
         self._publish(t_ns)
+
+    def current_bias_A(self) -> float:
+        """What the current sensor shows too much, as the latest estimate has it; of several strings, all together."""
+        bias_A = self.estimate.current_bias_A
+        if isinstance(bias_A, float) or not self._strings:
+            return mean_known(bias_A)
+        return sum(mean_known(bias_A[members]) for members in self._strings.values())
 
     def patience_ns(self, now_ns: int) -> int:
         """How long to wait for a frame before `idle` is due."""
@@ -136,7 +146,7 @@ class Core:
         detail = self.publication.complete(
             self.estimate, t_ns, shown | int(self.commissioning.fault | self.stuck.fault)
         )
-        detail.current_bias_A = mean_known(self.estimate.current_bias_A)
+        detail.current_bias_A = self.current_bias_A()
         self._send(t_ns, detail)
         self.published += 1
         if self.witness is not None:
@@ -164,7 +174,8 @@ def _is_empty(sample: Sample, heard: Cells | None) -> bool:
     """Whether nothing was measured; `heard` are the cells whose voltages were, None for a single one."""
     if sample.current_A == sample.current_A:
         return False
-    return not (_measured(sample.voltage_V) if heard is None else heard.size) and not _measured(sample.temperature_degC)
+    voltage = _measured(sample.voltage_V) if heard is None else heard.size
+    return not (voltage or _measured(sample.temperature_degC) or _measured(sample.currents_A))
 
 
 def _measured(values: PerCell) -> bool:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from cantools.database.can import Message
@@ -69,25 +70,31 @@ class Decoder(Inbox[Sample]):
         self.bound = bound = bind(signals, matrix or own_matrix(), cells, source, wired=wired)
         self.contactor = Contactor()
         self.balancing = Balancing(cells) if signals.balancing else None
-        sensors = sum(b.role == "temperature" for b in bound)
+        counts = _Counts(cells, max(len(signals.temperature), 1), len(signals.currents))
         reads: dict[Message, Read[Sample]] = {}
         for message in dict.fromkeys(b.message for b in bound):
             here = [b for b in bound if b.message is message]
             states = self.contactor, self.balancing
-            reads[message] = _reader(message, here, states, cells, max(sensors, 1), source)
+            reads[message] = _reader(message, here, states, counts, source)
         super().__init__(reads, signals.e2e)
 
 
 States = tuple[Contactor, Balancing | None]
 
 
-def _reader(
-    message: Message, bound: list[Bound], states: States, cells: int, sensors: int, source: str | Path
-) -> Read[Sample]:
+class _Counts(NamedTuple):
+    """How many of each there are."""
+
+    cells: int
+    sensors: int
+    strings: int
+
+
+def _reader(message: Message, bound: list[Bound], states: States, counts: _Counts, source: str | Path) -> Read[Sample]:
     """The function from a payload of `message` to a sample, by way of its multiplexer if it has one."""
 
     def page_reader(bound: list[Bound]) -> Read[Sample]:
-        return _page_reader(bound, states, cells, sensors)
+        return _page_reader(bound, states, counts)
 
     multiplexers = {b.signal.multiplexer_signal for b in bound} - {None}
     if not multiplexers:
@@ -109,15 +116,17 @@ def _reader(
     return read
 
 
-def _page_reader(bound: list[Bound], states: States, cells: int, sensors: int) -> Read[Sample]:
+def _page_reader(bound: list[Bound], states: States, counts: _Counts) -> Read[Sample]:
     """The function from a payload to a sample made once, in which only what the page carries is ever set."""
     contactor, balancing = states
     bleeds = [(b.index, b.extract) for b in bound if b.role == "balancing"]
     measured = any(b.role in BASE for b in bound)
     switch = next((b.extract for b in bound if b.role == "contactor"), None)
-    current = next((b.extract for b in bound if b.role == "current"), None)
-    voltage = _gather({b.index: b.extract for b in bound if b.role == "voltage"}, cells)
-    temperature = _gather({b.index: b.extract for b in bound if b.role == "temperature"}, sensors)
+    one = counts.strings == 1
+    current = next((b.extract for b in bound if b.role == "current" and one), None)
+    strings = _gather({b.index: b.extract for b in bound if b.role == "current" and not one}, counts.strings)
+    voltage = _gather({b.index: b.extract for b in bound if b.role == "voltage"}, counts.cells)
+    temperature = _gather({b.index: b.extract for b in bound if b.role == "temperature"}, counts.sensors)
     sample = Sample(0)
 
     def read(data: bytes, t_ns: int) -> Sample:
@@ -130,6 +139,13 @@ def _page_reader(bound: list[Bound], states: States, cells: int, sensors: int) -
             sample.temperature_degC = temperature(data)
         return sample
 
+    def read_strings(data: bytes, t_ns: int) -> Sample:
+        if strings is not None:
+            sample.string_current_A = np.asarray(strings(data))
+        return read(data, t_ns)
+
+    read_measured = read if strings is None else read_strings
+
     def read_states(data: bytes, t_ns: int) -> Sample | None:
         if balancing is not None:
             for index, bleed in bleeds:
@@ -137,9 +153,9 @@ def _page_reader(bound: list[Bound], states: States, cells: int, sensors: int) -
         if switch is not None:
             state = switch(data)
             contactor.is_open, contactor.t_ns = state == 1.0, None if math.isnan(state) else t_ns
-        return read(data, t_ns) if measured else None
+        return read_measured(data, t_ns) if measured else None
 
-    return read_states if bleeds or switch is not None else read
+    return read_states if bleeds or switch is not None else read_measured
 
 
 def _gather(extracts: dict[int, Extract], count: int) -> Callable[[bytes], PerCell] | None:

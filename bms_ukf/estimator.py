@@ -230,7 +230,7 @@ class Estimator(PerCell):
         return {"t_ns": time, **results, "status": status, "faults": faults}
 
     def snapshot(self) -> bytes:
-        """All the estimator knows, for `restore`; valid for the same cell file, tuning and number of cells."""
+        """All the estimator knows, for `restore`; valid for the same cell file, tuning, number of cells and strings."""
         body = _BODY.pack(self.cells, self.t_ns is not None, self.t_ns or 0, self._code, self.accepted)
         body += self._state.tobytes() + self._io.tobytes()
         return _MAGIC + self._params_hash() + hashlib.sha256(body).digest() + body
@@ -251,7 +251,9 @@ class Estimator(PerCell):
         self.t_ns, self._code, self.accepted = (t_ns if started else None), code, accepted
 
     def _params_hash(self) -> bytes:
-        return hashlib.sha256(bytes(self._form) + self._params.tobytes()).digest()
+        string_of = self.wiring.string_of  # whose sensor has which offset
+        wired = b"" if string_of is None else string_of.tobytes()
+        return hashlib.sha256(bytes(self._form) + self._params.tobytes() + wired).digest()
 
     def _read(self, estimate: Estimate, code: int) -> None:
         status = code >> STATUS_SHIFT

@@ -48,7 +48,7 @@ class Exporter:
             ("soc_ratio", "State of charge, mean of the cells", mean_known(estimate.soc)),
             ("soc_sigma_ratio", "Its standard deviation, the largest of the cells", largest_known(estimate.soc_sigma)),
             ("information_age_seconds", "Since a voltage was last used", largest_known(estimate.age_s)),
-            ("current_bias_amperes", "What the current sensor shows too much", mean_known(estimate.current_bias_A)),
+            ("current_bias_amperes", "What the current sensor shows too much", daemon.current_bias_A()),
         ):
             yield GaugeMetricFamily(f"bms_ukf_{name}", text, value)
         status = GaugeMetricFamily("bms_ukf_status", "1 for the present one", labels=["status"])

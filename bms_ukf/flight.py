@@ -4,9 +4,9 @@ The file can be run again bit for bit (`bms-ukf replay FILE.flight`): it begins 
 first line is JSON (`HEADER`); then come parts, oldest first, each a length (uint32), a snapshot, a length and entries:
 
     kind (bits of KIND), t_ns · current_A, voltage_V, temperature_degC · mean SoC, largest sigma, status, faults,
-    CRC-32 of all cells' SoC and sigma · for each array a count, the cells' indices (uint16) and values (float64)
+    CRC-32 of all cells' SoC and sigma · for each array a count, the indices (uint16) and values (float64)
 
-little-endian. Values of a pack that were not measured are left out.
+little-endian. Arrays are of cells, sensors or strings; what was not measured is left out.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Statu
 log = logging.getLogger(__name__)
 
 SUFFIX = ".flight"
+FORMAT = 2  # 1 had no strings
 HEADER = ("format", "reason", "written", "cells", "precision", "cell", "tuning")
 ENTRY = struct.Struct("<BqdddddBII")
 COUNT = struct.Struct("<H")
@@ -46,6 +47,7 @@ class Kind(IntFlag):
     VOLTAGES = 4  # an array follows
     TEMPERATURES = 8
     BLEED = 16
+    STRINGS = 32  # the currents of several
 
 
 class Recorder:
@@ -66,10 +68,10 @@ class Recorder:
 
     def stepped(self, sample: Sample, estimate: Estimate) -> None:
         kind = Kind.OPEN_CIRCUIT if sample.open_circuit else Kind.STEP
-        self._enter(kind, sample.t_ns, sample.current_A, sample.voltage_V, sample.temperature_degC, estimate)
+        self._enter(kind, sample, estimate)
 
     def coasted(self, t_ns: int, estimate: Estimate) -> None:
-        self._enter(Kind.COAST, t_ns, NAN, NAN, NAN, estimate)
+        self._enter(Kind.COAST, Sample(t_ns), estimate)
 
     def published(self, t_ns: int, estimate: Estimate, _: Detail) -> None:
         new = estimate.faults & ~self._faults
@@ -87,27 +89,27 @@ class Recorder:
         estimator = self._estimator
         written = datetime.now(UTC).isoformat(timespec="seconds")
         cell, tuning = estimator.cell.model_dump_json(), estimator.tuning.model_dump_json()
-        values = (1, words(reason), written, estimator.cells, estimator.precision, cell, tuning)
-        sensor_of = estimator.wiring.sensor_of
-        wiring = {"sensor_of": None if sensor_of is None else sensor_of.tolist()}
+        values = (FORMAT, words(reason), written, estimator.cells, estimator.precision, cell, tuning)
+        indices = {key: getattr(estimator.wiring, key) for key in estimator.wiring.__slots__}
+        wiring = {key: None if of is None else of.tolist() for key, of in indices.items()}
         parts = [json.dumps(dict(zip(HEADER, values, strict=True)) | wiring).encode() + b"\n"]
         for snapshot, entries in self._parts:
             parts += [LENGTH.pack(len(snapshot)), snapshot, LENGTH.pack(len(entries)), bytes(entries)]
         return b"".join(parts)
 
-    def _enter(
-        self, kind: Kind, t_ns: int, current_A: float, voltage_V: PerCell, temperature_degC: PerCell, told: Estimate
-    ) -> None:
-        arrays = b""
+    def _enter(self, kind: Kind, sample: Sample, told: Estimate) -> None:
+        t_ns, voltage_V, temperature_degC, arrays = sample.t_ns, sample.voltage_V, sample.temperature_degC, b""
         if not isinstance(voltage_V, float):
             kind, arrays, voltage_V = kind | Kind.VOLTAGES, _packed(voltage_V), NAN
         if not isinstance(temperature_degC, float):
             kind, arrays, temperature_degC = kind | Kind.TEMPERATURES, arrays + _packed(temperature_degC), NAN
+        if sample.string_current_A is not None:
+            kind, arrays = kind | Kind.STRINGS, arrays + _packed(sample.string_current_A)
         bleed_A = self._estimator.bleed_A
         if bleed_A.tobytes() != self._bleed_A.tobytes():  # what the estimator has taken, whoever told it
             self._bleed_A, kind, arrays = bleed_A, kind | Kind.BLEED, arrays + _packed(bleed_A)
         self._parts[-1][1].extend(
-            ENTRY.pack(kind, t_ns, current_A, voltage_V, temperature_degC, *summary(told)) + arrays
+            ENTRY.pack(kind, t_ns, sample.current_A, voltage_V, temperature_degC, *summary(told)) + arrays
         )
         if self._part_until_ns is None:
             self._part_until_ns = t_ns + self._part_ns

@@ -18,8 +18,6 @@ T = TypeVar("T")
 Frame = tuple[int, bool, bytes]  # of classic CAN: arbitration id, whether that is an extended one, data
 Read = Callable[[bytes, int], T | None]  # payload and time of receipt to what it says
 
-_VALUES_PER_PAGE = 3
-
 
 @dataclass(slots=True)
 class Counters:
@@ -112,7 +110,7 @@ class Outbox:
 
 
 class Pages:
-    """A multiplexed message of our own with three numbered values a page: `Cell1`, `Cell2`, … or `Sensor1`, …
+    """A multiplexed message of our own with numbered values, as many on each page: `Cell1`, … or `Sensor1`, …
 
     `factor` is as in `Field.extract`. ConfigError if the DBC has fewer than `count` such values.
     """
@@ -123,18 +121,19 @@ class Pages:
         if count > known:
             raise ConfigError(message, value=count, expected=f"at most {known} values, as many as the DBC has")
         self._box = Outbox(found)
-        self.count = -(-count // _VALUES_PER_PAGE)
+        self._on_a_page = sum(signal.multiplexer_ids == [0] for signal in found.signals)
+        self.count = -(-count // self._on_a_page)
         self._page_shift = Field(*matrix.find(f"{message}.Page")).shift
         self._inserts = [
             Field(*matrix.find(f"{message}.{prefix}{k + 1}")).insert(factor)
-            for k in range(_VALUES_PER_PAGE * self.count)
+            for k in range(self._on_a_page * self.count)
         ]
 
     def frame(self, page: int, values: PerCell, tick: int) -> Frame:
         """One page, with its share of the values of all pages; what is beyond `values` is sent as not available."""
-        first = _VALUES_PER_PAGE * page
-        shown = np.atleast_1d(values)[first : first + _VALUES_PER_PAGE].tolist()
+        first, end = self._on_a_page * page, self._on_a_page * (page + 1)
+        shown = np.atleast_1d(values)[first:end].tolist()
         word = page << self._page_shift
-        for k, insert in enumerate(self._inserts[first : first + _VALUES_PER_PAGE]):
+        for k, insert in enumerate(self._inserts[first:end]):
             word |= insert(shown[k] if k < len(shown) else NAN)
         return self._box.frame(word, tick)

@@ -45,7 +45,8 @@ class Intake:
             return ()
         if self._circuit is not None:
             contactor = self.decoder.contactor
-            sample.open_circuit = self._circuit.nothing_flows(sample.current_A, t_ns, contactor.is_open, contactor.t_ns)
+            shown_A = sample.currents_A
+            sample.open_circuit = self._circuit.nothing_flows(shown_A, t_ns, contactor.is_open, contactor.t_ns)
         return self._bled(self._alignment.put(sample), t_ns)
 
     def due(self, t_ns: int) -> Sequence[Sample]:

@@ -15,24 +15,35 @@ class SampleEncoder:
     NaN is sent as not available, and a value beyond the DBC's limits as the limit.
     """
 
-    def __init__(self, cells: int = 1, sensors: int = 1) -> None:
+    def __init__(self, cells: int = 1, sensors: int = 1, strings: int = 1) -> None:
+        """Several `strings` have a current sensor each."""
         matrix = own_matrix()
         self._pack_box = Outbox(matrix.message("PackMeasurement"))
         self._current = Field(*matrix.find("PackMeasurement.PackCurrent")).insert()
         self._pack_voltage = Field(*matrix.find("PackMeasurement.PackVoltage")).insert()
         self._temperatures = Pages(matrix, "CellTemperatures", "Sensor", sensors)
         self._voltages = Pages(matrix, "CellVoltages", "Cell", cells)
+        self._strings = Pages(matrix, "StringCurrents", "String", strings) if strings > 1 else None
+        self._parallel = strings
         self._sent = 0
 
     def encode(self, sample: Sample) -> list[Frame]:
         """All frames of a sample, current first: whichever comes first moves the estimator's time on to `t_ns`."""
-        return [self.pack(sample), *self.temperatures(sample), *self.voltages(sample)]
+        return [*self.strings(sample), self.pack(sample), *self.temperatures(sample), *self.voltages(sample)]
 
     def pack(self, sample: Sample) -> Frame:
-        """PackMeasurement: the current and the sum of the cell voltages."""
-        cells = sample.voltage_V
-        pack_voltage = cells if isinstance(cells, float) else float(np.sum(cells))
-        return self._pack_box.frame(self._current(sample.current_A) | self._pack_voltage(pack_voltage), self._tick())
+        """PackMeasurement: the current and the sum of the cell voltages; of strings their sum, and their mean."""
+        cells, current = sample.voltage_V, sample.currents_A
+        pack_voltage = cells if isinstance(cells, float) else float(np.sum(cells)) / self._parallel
+        current_A = current if isinstance(current, float) else float(np.sum(current))
+        return self._pack_box.frame(self._current(current_A) | self._pack_voltage(pack_voltage), self._tick())
+
+    def strings(self, sample: Sample) -> list[Frame]:
+        """StringCurrents, every page; none of a single string."""
+        pages = self._strings
+        if pages is None:
+            return []
+        return [pages.frame(page, sample.currents_A, self._tick()) for page in range(pages.count)]
 
     def temperatures(self, sample: Sample) -> list[Frame]:
         """CellTemperatures, every page."""

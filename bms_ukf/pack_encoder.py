@@ -40,15 +40,18 @@ CELL_NUMBERS = {"discharge_cell", "charge_cell", "silent_cell"}  # from 0 inside
 class PackEncoder:
     """Turns what is known of a pack into frames; the alive counters are as those of `encoder.Encoder`.
 
-    PackState, PackCurrents and PackPowers go with every set, PackEnergy and PackTimes once a second. Of several cells
-    the pages of CellSoc and CellSigma follow each other so that all are sent within a period.
+    PackState, PackCurrents and PackPowers go with every set, PackEnergy and PackTimes once a second, StringBias with
+    them if there are several strings. Of several cells the pages of CellSoc and CellSigma follow each other so that all
+    are sent within a period.
     """
 
-    def __init__(self, cells: int, cell_soc_period_s: float) -> None:
+    def __init__(self, cells: int, cell_soc_period_s: float, strings: int = 1) -> None:
         matrix = own_matrix()
         self._often = [_Message(name, signals) for name, signals in OFTEN.items()]
         self._seldom = [_Message(name, signals) for name, signals in SELDOM.items()]
         self._seldom_ns: int | None = None
+        self._bias = Pages(matrix, "StringBias", "String", strings) if strings > 1 else None
+        self._biases_told = self._bias_accepted = 0
         self._soc = Pages(matrix, "CellSoc", "Cell", cells, 0.01)
         self._sigma = Pages(matrix, "CellSigma", "Cell", cells, 0.01)
         self._apart_ns = int(1e9 * cell_soc_period_s / self._soc.count) if cells > 1 else None
@@ -60,8 +63,21 @@ class PackEncoder:
         frames = self._cells(t_ns, estimate, accepted)
         if self._seldom_ns is None or t_ns - self._seldom_ns >= SELDOM_NS:
             frames += [message.frame(pack, accepted) for message in self._seldom]
+            frames += self._biases(pack, accepted)
             self._seldom_ns = t_ns
         return frames + [message.frame(pack, accepted) for message in self._often]
+
+    def _biases(self, pack: PackEstimate, accepted: int) -> list[Frame]:
+        pages = self._bias
+        if pages is None:
+            return []
+        moves = accepted != self._bias_accepted  # as for the cells
+        self._bias_accepted = accepted
+        frames = []
+        for page in range(pages.count):
+            self._biases_told += moves
+            frames.append(pages.frame(page, pack.current_bias_A, self._biases_told))
+        return frames
 
     def _cells(self, t_ns: int, estimate: Estimate, accepted: int) -> list[Frame]:
         if self._apart_ns is None:

@@ -18,7 +18,8 @@ class PackOutput:
         self, estimator: Estimator, limits: Limits | None = None, cell_soc_period_s: float = CELL_SOC_PERIOD_S
     ) -> None:
         """Every cell's SoC is sent once in `cell_soc_period_s`."""
-        self._pack, self._encoder = Pack(estimator, limits), PackEncoder(estimator.cells, cell_soc_period_s)
+        self._pack = Pack(estimator, limits)
+        self._encoder = PackEncoder(estimator.cells, cell_soc_period_s, estimator.wiring.strings)
         self.estimate = PackEstimate()
 
     def frames(self, whole: Sample, estimate: Estimate, accepted: int) -> list[Frame]:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Source, Status, mean_known
 
+Array = NDArray[np.float64]
+
 REST_NS = 600_000_000_000  # so long without a load, and a voltage is that of a rested cell
 REST_C = 0.02  # what is no load, as a share of the capacity per hour
 HELD_S = 5.0  # the current is taken to have flowed for no longer than this
@@ -43,6 +45,7 @@ class Publication:
         self._published_ns: int | None = None
         self._moved = 0.0  # SoC, by the charge since the last set
         self._currents, self._sum_A = 0, 0.0  # since then
+        self._strings: _Strings | None = None  # in place of these, if there are several
 
     def follow(self, sample: Sample, estimate: Estimate, heard: NDArray[np.intp] | None = None) -> None:
         """Take note of a step. Of a pack, `heard` are the cells that the sample has voltages of."""
@@ -57,6 +60,8 @@ class Publication:
                 self._moved += current_A * min((t_ns - last_ns) * 1e-9, HELD_S) / self._capacity_As
             if current_A > self._load_A:
                 self._load_ns = t_ns
+        elif sample.string_current_A is not None:
+            self._follow_strings(sample.string_current_A, t_ns)
         if faults & _CURRENT_MISSING or self._load_ns is None:
             self._load_ns = t_ns
         self._hold(estimate, heard)
@@ -83,10 +88,26 @@ class Publication:
         return self.detail
 
     def whole(self, estimate: Estimate, t_ns: int) -> Sample:
-        """The set that was completed last as one sample: the mean current and, of each cell, the voltage compared."""
+        """The set that was completed last as one sample: the mean current and, of each cell, the voltage compared.
+
+        Of several strings it has their mean currents, and as `current_A` the sum.
+        """
+        voltage_V = estimate.voltage_pred_V + estimate.innovation_V
+        if self._strings is not None:
+            strings_A = self._strings.means()
+            return Sample(t_ns, float(strings_A.sum()), voltage_V, string_current_A=strings_A)
         current_A = self._sum_A / self._currents if self._currents else NAN
         self._currents, self._sum_A = 0, 0.0
-        return Sample(t_ns, current_A, estimate.voltage_pred_V + estimate.innovation_V)
+        return Sample(t_ns, current_A, voltage_V)
+
+    def _follow_strings(self, current_A: Array, t_ns: int) -> None:
+        if self._strings is None:
+            self._strings = _Strings(len(current_A))
+        known = np.isfinite(current_A)
+        if known.any():
+            self._moved += self._strings.add(current_A, known, t_ns) / self._capacity_As
+            if float(np.abs(current_A[known]).max()) > self._load_A:
+                self._load_ns = t_ns
 
     def _hold(self, estimate: Estimate, heard: NDArray[np.intp] | None) -> None:
         innovation_V = estimate.innovation_V
@@ -111,6 +132,30 @@ class Publication:
             soc = min(max(soc, shown - step), shown + step) if available else NAN
         self.detail.soc_slewed = soc
         self._published_ns, self._moved = t_ns, 0.0
+
+
+class _Strings:
+    """The currents of several strings since a set; a sample may have those of some."""
+
+    def __init__(self, strings: int) -> None:
+        self._count, self._sum_A = np.zeros(strings), np.zeros(strings)
+        self._last_ns = np.full(strings, -1, dtype=np.int64)
+
+    def add(self, current_A: Array, known: NDArray[np.bool_], t_ns: int) -> float:
+        """Take those that are known; returns by how much charge, As >= 0, the mean string may have moved."""
+        self._count += known
+        self._sum_A[known] += current_A[known]
+        before = known & (self._last_ns >= 0)
+        spans_s = np.minimum((t_ns - self._last_ns[before]) * 1e-9, HELD_S)
+        self._last_ns[known] = t_ns
+        return float(np.abs(current_A[before]) @ spans_s) / len(current_A)
+
+    def means(self) -> Array:
+        """(strings,) mean of each since the last call, NaN for one that was not heard."""
+        mean_A = np.full(len(self._count), NAN)
+        np.divide(self._sum_A, self._count, out=mean_A, where=self._count > 0)
+        self._count[:] = self._sum_A[:] = 0.0
+        return mean_A
 
 
 def _fused(age_s: PerCell, heard: NDArray[np.intp] | None) -> bool:

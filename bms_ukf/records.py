@@ -92,8 +92,13 @@ class Sample:
     voltage_V: PerCell = NAN  # cell terminal voltage; array of shape (cells,) for a pack
     temperature_degC: PerCell = NAN  # array of shape (cells,), or (sensors,) where a `Wiring` says whose they are
     open_circuit: bool = False  # the contactor is known to be open: nothing flows, `current_A` is the sensor's offset
-    string_current_A: NDArray[np.float64] | None = None  # (strings,) in place of `current_A`, by a `Wiring`
+    string_current_A: NDArray[np.float64] | None = None  # (strings,) in place of `current_A`, by a `Wiring`; or none
     bleed_A: NDArray[np.float64] | None = None  # (cells,) what balancing takes, as `Estimator.bleed_A`; None: as before
+
+    @property
+    def currents_A(self) -> PerCell:
+        """What was measured of the current: of several strings an array of shape (strings,)."""
+        return self.current_A if self.string_current_A is None else self.string_current_A
 
 
 @dataclass(slots=True)

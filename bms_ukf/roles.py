@@ -54,7 +54,8 @@ def _from_config(bound: Bound, signals: Signals) -> list[str]:
     if bound.role == "voltage" and signals.pack_voltage is not None:
         parts.append(f"the sum of {signals.series_cells} cells")
     if bound.role == "contactor":
-        parts.append(f"open is {', '.join(str(value) for value in signals.contactor_open)}")
+        apart = ", and parts the strings from each other" if len(signals.current) > 1 else ""
+        parts.append(f"open is {', '.join(str(value) for value in signals.contactor_open)}{apart}")
     codes = signals.not_available.get(bound.name, [])
     parts += [f"no value is {', '.join(str(code) for code in codes)}"] if codes else []
     if bound.name in signals.plausible:

@@ -236,6 +236,7 @@ def _pack_explained(setup: Setup) -> list[str]:
     pack = config.pack or PackUse()
     volts, amperes = pack.voltage_V or cell.voltage_limits_V, pack.current_A or cell.current_limits_A
     wired = "" if pack.sensor_of is None else f"; {max(pack.sensor_of)} temperature sensors by sensor_of"
+    wired += f"; {setup.wiring.strings} strings by string_of" if setup.wiring.strings > 1 else ""
     return [
         f"pack: each cell {volts[0]:g}..{volts[1]:g} V, {amperes[0]:g}..{amperes[1]:g} A, empty at "
         f"{pack.discharge_rate:g} C and full at {pack.charge_rate:g} C, pulses of {pack.pulse_s:g} s; every cell's SoC "
@@ -245,9 +246,9 @@ def _pack_explained(setup: Setup) -> list[str]:
 
 def _fixed(setup: Setup) -> tuple[object, ...]:
     """What an estimator is made of."""
-    config, pack = setup.config, setup.config.pack
-    sensor_of, balances = None if pack is None else pack.sensor_of, setup.decoder.balancing is not None
-    return setup.cell, config.cells, config.estimator, sensor_of, balances
+    config, wired = setup.config, [getattr(setup.wiring, key) for key in setup.wiring.__slots__]
+    of = tuple(None if indices is None else tuple(indices) for indices in wired)
+    return setup.cell, config.cells, config.estimator, of, setup.decoder.balancing is not None
 
 
 def _place(name: str, source: Path) -> Path:

@@ -22,12 +22,12 @@ Role = Literal["current", "voltage", "temperature", "contactor", "balancing"]
 class SignalMap:
     """Which signal, as "Message.Signal", plays which role."""
 
-    current: str
+    current: str | Sequence[str]  # of several strings one each, in order
     current_positive: Literal["charge", "discharge"]
     cell_voltage: Sequence[str] = ()  # one a cell, in order
     pack_voltage: str | None = None  # in place of cell_voltage: the string is estimated as one mean cell
     series_cells: int = 1  # how many cells pack_voltage is the sum of
-    parallel_cells: int = 1  # how many cells share the current
+    parallel_cells: int = 1  # how many cells share the current, or that of their string
     temperature: Sequence[str] = ()  # one for all cells, or one a cell
     contactor: str | None = None
     contactor_open: Sequence[int | str] = ()  # its raw values, or their names, with which no current can flow
@@ -38,11 +38,17 @@ class SignalMap:
     unit: Mapping[str, str] = field(default_factory=dict)  # of signals to which the DBC gives none, or a wrong one
     e2e: Mapping[str, Profile] = field(default_factory=dict)  # by message: what the DBC does not declare itself
 
+    @property
+    def currents(self) -> list[str]:
+        """One for each string."""
+        return [self.current] if isinstance(self.current, str) else list(self.current)
+
     @classmethod
-    def default(cls, cells: int = 1, sensors: int = 1) -> SignalMap:
+    def default(cls, cells: int = 1, sensors: int = 1, strings: int = 1) -> SignalMap:
         """The messages of the project's own DBC; a single temperature sensor is that of all cells."""
+        own = [f"StringCurrents.String{k + 1}" for k in range(strings)]
         return cls(
-            current="PackMeasurement.PackCurrent",
+            current="PackMeasurement.PackCurrent" if strings == 1 else own,
             current_positive="discharge",
             cell_voltage=[f"CellVoltages.Cell{k + 1}" for k in range(cells)],
             temperature=[f"CellTemperatures.Sensor{k + 1}" for k in range(sensors)],
@@ -83,7 +89,10 @@ def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, 
     if len(signals.balancing) not in {0, cells}:
         expected = f"one signal for each of {cells} cells"
         raise ConfigError(source, key="signals.balancing", value=list(signals.balancing), expected=expected)
-    measured = {signals.current, *voltages, *signals.temperature, *signals.balancing}
+    currents = signals.currents
+    if len(set(currents)) != len(currents):
+        raise ConfigError(source, key="signals.current", value=currents, expected="another signal for each string")
+    measured = {*currents, *voltages, *signals.temperature, *signals.balancing}
     for key, named, known_names in (
         ("not_available", signals.not_available, measured | {signals.contactor}),
         ("plausible", signals.plausible, measured),
@@ -95,7 +104,7 @@ def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, 
     sign = -1.0 if signals.current_positive == "charge" else 1.0
     binding = _Binding(signals, matrix, source)
     bound = [
-        binding.measured("current", "current", 0, signals.current, sign / signals.parallel_cells),
+        *(binding.measured("current", "current", k, v, sign / signals.parallel_cells) for k, v in enumerate(currents)),
         *(binding.measured("voltage", voltage_key, k, v, 1.0 / signals.series_cells) for k, v in enumerate(voltages)),
         *(binding.measured("temperature", "temperature", k, name, 1.0) for k, name in enumerate(signals.temperature)),
     ]

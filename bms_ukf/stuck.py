@@ -35,7 +35,7 @@ class Stuck:
         self._voltage = _One() if cells == 1 else _Many(cells)
 
     def take(self, sample: Sample) -> None:
-        """Turn into NaN what of the sample stands still. The currents of several strings are left as they are."""
+        """Turn into NaN what of the sample stands still: of one string; `strings.StuckStrings` is for several."""
         current_A, voltage_V = sample.current_A, sample.voltage_V
         if current_A == current_A and current_A != self._current_A:  # noqa: PLR0124 - not NaN
             self._current_A = current_A

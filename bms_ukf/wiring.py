@@ -34,6 +34,11 @@ class Wiring:
     def strings(self) -> int:
         return 1 if self.string_of is None else int(self.string_of.max()) + 1
 
+    def members(self) -> dict[int, NDArray[np.intp]]:
+        """The cells of each string that has any, by its index; nothing without `string_of`."""
+        of = self.string_of
+        return {} if of is None else {int(string): np.flatnonzero(of == string) for string in np.unique(of)}
+
 
 def _indices(given: Sequence[int] | None, name: str) -> NDArray[np.intp] | None:
     if given is None:

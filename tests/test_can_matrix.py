@@ -96,6 +96,14 @@ def test_pages_carry_three_values_each_in_order(name: str, prefix: str, count: i
         assert (signal.multiplexer_ids, signal.start, signal.length) == ([k // 3], 22 + 14 * (k % 3), 14)
 
 
+@pytest.mark.parametrize("name", ["StringCurrents", "StringBias"])
+def test_pages_of_strings_carry_two_in_order_as_finely_as_the_current_of_the_pack(name: str) -> None:
+    for k in range(48):
+        signal = SIGNALS[name, f"String{k + 1}"]
+        assert (signal.multiplexer_ids, signal.start, signal.length) == ([k // 2], 22 + 21 * (k % 2), 21)
+        assert signal.scale == SIGNALS["PackMeasurement", "PackCurrent"].scale
+
+
 def test_the_readme_lists_every_message_as_it_is() -> None:
     listed = rows("id")
     assert [row[1] for row in listed] == NAMES
@@ -154,6 +162,7 @@ def test_400_cells_fit_on_a_500_kbit_bus() -> None:
 def test_what_is_published_of_400_cells_is_a_small_share_of_a_500_kbit_bus() -> None:
     """The README has the number."""
     a_second = {m.name: 1000 / (m.cycle_time or 0) for m in MESSAGES if m.senders == ["Bms"]}
+    del a_second["StringBias"]  # of several strings only
     pages = {name: a_second.pop(name) * -(-400 // 3) for name in ("CellSoc", "CellSigma")}
     frames_per_s = sum(a_second.values()) + sum(pages.values())
     share = frames_per_s * 135 / 500_000

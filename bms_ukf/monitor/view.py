@@ -72,6 +72,7 @@ def panel(watch: Watch, title: str, now_ns: int) -> Panel:
         *([_pack(watch)] if "UsableSoc" in watch.values else []),
         _figures(watch),
         *_cells(watch),
+        *_strings(watch),
         _troubles(watch, silent_s),
     ]
     used = sum(_height(part) for part in parts)
@@ -210,6 +211,17 @@ def _cells(watch: Watch) -> list[Text]:
                 row.append(BARS[level], HEAT[level])
         lines.append(row)
     return lines
+
+
+def _strings(watch: Watch) -> list[Text]:
+    """The bias of each string's current sensor; nothing for a single one."""
+    known = np.flatnonzero(~np.isnan(watch.biases_A))
+    if not known.size:
+        return []
+    told = ", ".join(f"{_number(watch.biases_A[k], 'A')} ({k + 1})" for k in known)
+    line = Text.assemble((f"{'strings':{LABEL}}", "dim"), "bias ", told)
+    line.truncate(INNER, overflow="ellipsis")
+    return [line]
 
 
 def _troubles(watch: Watch, silent_s: float | None) -> Text:

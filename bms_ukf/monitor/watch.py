@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import TypeVar
 
 import numpy as np
 from cantools.database.can import Message
+from numpy.typing import NDArray
 
 from bms_ukf.dbc import Extract, Field, own_matrix
 from bms_ukf.decoder import Decoder
@@ -18,12 +20,12 @@ from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
 PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth")
-OF_PACKS = ("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma")
+OF_PACKS = ("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma", "StringBias")
 RATE_NS = 5_000_000_000  # rates are those of so long
 SILENT_NS = 1_500_000_000  # since the last frame of a message that comes once a second; of a slower one, as much more
 COLUMN_NS = 10_000_000_000  # of the history
 COLUMNS = 60
-CELLS = 402  # as many as the DBC has
+CELLS, STRINGS = 402, 48  # as many as the DBC has
 
 W = TypeVar("W", bound=IntEnum)
 
@@ -98,6 +100,7 @@ class Watch:
         self.values: dict[str, float] = {}  # by signal, as the DBC names them and in its units
         self.cells_pct, self.sigmas_pct = np.full(CELLS, NAN), np.full(CELLS, NAN)
         self.cells = 1  # as many as were heard of
+        self.biases_A = np.full(STRINGS, NAN)  # of the strings' current sensors
         self.history_pct: deque[float] = deque([NAN] * COLUMNS, maxlen=COLUMNS)
         self.tracks: dict[tuple[int, bool], Track] = {}
         self.last_ns: int | None = None  # of a SocEstimate that was accepted
@@ -132,6 +135,8 @@ class Watch:
     def _reader(self, message: Message) -> Read[bool]:
         if message.name in {"CellSoc", "CellSigma"}:
             return _cell_reader(self, message)
+        if message.name == "StringBias":
+            return _page_reader(message, [f"String{k + 1}" for k in range(STRINGS)], self.biases_A)
         skipped = {"Crc", "AliveCounter"}
         values: dict[str, Extract] = {}
         words: dict[str, Field] = {}
@@ -173,16 +178,29 @@ class Watch:
 
 
 def _cell_reader(watch: Watch, message: Message) -> Read[bool]:
-    page = Field(message, message.get_signal_by_name("Page")).raw()
     kept = watch.cells_pct if message.name == "CellSoc" else watch.sigmas_pct
-    extracts = [Field(message, message.get_signal_by_name(f"Cell{k + 1}")).extract() for k in range(CELLS)]
+    read_page = _page_reader(message, [f"Cell{k + 1}" for k in range(CELLS)], kept)
+
+    def read(data: bytes, t_ns: int) -> bool:
+        read_page(data, t_ns)
+        known = np.flatnonzero(~np.isnan(kept))
+        watch.cells = max(watch.cells, int(known[-1]) + 1 if known.size else 1)
+        return True
+
+    return read
+
+
+def _page_reader(message: Message, names: Sequence[str], kept: NDArray[np.float64]) -> Read[bool]:
+    """Keeps what the pages of a message say of its numbered signals."""
+    page = Field(message, message.get_signal_by_name("Page")).raw()
+    signals = [message.get_signal_by_name(name) for name in names]
+    extracts = [Field(message, signal).extract() for signal in signals]
+    on_a_page = sum(signal.multiplexer_ids == [0] for signal in signals)
 
     def read(data: bytes, _: int) -> bool:
-        first = 3 * page(data)
-        for k in range(first, min(first + 3, CELLS)):
-            value = kept[k] = extracts[k](data)
-            if value == value:  # noqa: PLR0124 - not NaN
-                watch.cells = max(watch.cells, k + 1)
+        first = on_a_page * page(data)
+        for k in range(first, min(first + on_a_page, len(extracts))):
+            kept[k] = extracts[k](data)
         return True
 
     return read

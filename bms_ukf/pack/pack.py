@@ -43,10 +43,8 @@ class Pack:
         params, state, _, _ = estimator._addresses
         self._addresses = params, state, self._rows.ctypes.data, a.ctypes.data, cells
         self._limits, self._energy = entry.limits(estimator._form, bits), entry.energy(estimator._form, bits)
-        string_of = np.zeros(cells, np.intp) if wiring.string_of is None else wiring.string_of
-        self._strings = [np.flatnonzero(string_of == string) for string in range(wiring.strings)]
-        self._strings = [members for members in self._strings if len(members)]
-        self._estimate = PackEstimate(current_bias_A=np.full(len(self._strings), math.nan))
+        self._strings = wiring.members() or {0: np.arange(cells)}
+        self._estimate = PackEstimate(current_bias_A=np.full(wiring.strings, math.nan))
         self._power_ns: int | None = None
         self._current_A = math.nan  # mean of late, of the pack
 
@@ -69,7 +67,7 @@ class Pack:
             self._forget(pack)
             return pack
         bias = np.atleast_1d(estimate.current_bias_A)
-        for string, members in enumerate(self._strings):
+        for string, members in self._strings.items():
             pack.current_bias_A[string] = np.mean(bias[members])
         self._spread(pack, soc, known)
         self._reach(pack, soc, sigma)
@@ -80,7 +78,7 @@ class Pack:
         """Recent power and current, of samples that have both; after a silence as long as their time constant, anew."""
         voltage, strings_A = np.atleast_1d(sample.voltage_V), sample.string_current_A
         watts, amperes = 0.0, 0.0
-        for string, members in enumerate(self._strings):
+        for string, members in self._strings.items():
             own = voltage[members] if len(voltage) > 1 else voltage
             heard = np.isfinite(own)
             if not heard.any():
@@ -116,7 +114,7 @@ class Pack:
         capacity_Ah = self.estimator.cell.cell.capacity_Ah * self.estimator.capacity_scale
         left, room = (soc - pack.cell_empty_soc) * capacity_Ah, (pack.cell_full_soc - soc) * capacity_Ah
         lefts, rooms, variance, empties, fulls = 0.0, 0.0, 0.0, [], []
-        for members in self._strings:
+        for members in self._strings.values():
             if not np.isfinite(left[members]).any():
                 return self._forget(pack)
             empty, full = int(members[_least(left[members])]), int(members[_least(room[members])])
@@ -146,7 +144,7 @@ class Pack:
         self._conditions[layout.A_DRAIN] = string_A
         self._energy(*self._addresses)
         mean_V = self._rows[layout.L_MEAN_V]
-        string_V = sum(_mean(mean_V[members]) * len(members) for members in self._strings) / strings
+        string_V = sum(_mean(mean_V[members]) * len(members) for members in self._strings.values()) / strings
         return abs(charge_Ah) * string_V
 
     def _pulses(self, pack: PackEstimate, known: NDArray[np.bool_]) -> None:

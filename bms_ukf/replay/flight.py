@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
-from bms_ukf.flight import COUNT, ENTRY, HEADER, LENGTH, Kind, summary
-from bms_ukf.records import NAN, Estimate, PerCell, Sample
+from bms_ukf.flight import COUNT, ENTRY, FORMAT, HEADER, LENGTH, Kind, summary
+from bms_ukf.records import NAN, Estimate, Sample
 from bms_ukf.replay.rows import Rows
 from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
@@ -45,13 +46,14 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
     line, _, body = path.read_bytes().partition(b"\n")
     head = json.loads(line)
     missing = [key for key in HEADER if key not in head]
-    if missing or head["format"] != 1:
+    if missing or head["format"] not in range(1, FORMAT + 1):
         raise ValueError(f"no {', '.join(missing)} in its first line" if missing else "of another format")
     cells = int(head["cells"])
     used = cell or CellParams.model_validate_json(head["cell"])
-    wiring = Wiring(head.get("sensor_of"))
+    wiring = Wiring(head.get("sensor_of"), head.get("string_of"))
     estimator = Estimator(used, cells, Tuning.model_validate_json(head["tuning"]), head["precision"], wiring)
-    snapshot, entries = _parts(body, cells)
+    sensors = cells if wiring.sensor_of is None else int(wiring.sensor_of.max()) + 1
+    snapshot, entries = _parts(body, _Counts(cells, sensors, wiring.strings))
     if cell is None:
         estimator.restore(snapshot)
     rows, estimate, apart = Rows(), estimator.coast(estimator.t_ns or entries[0].sample.t_ns), []
@@ -89,7 +91,15 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
     }
 
 
-def _parts(body: bytes, cells: int) -> tuple[bytes, list[Entry]]:
+class _Counts(NamedTuple):
+    """How many of each there are."""
+
+    cells: int
+    sensors: int
+    strings: int
+
+
+def _parts(body: bytes, counts: _Counts) -> tuple[bytes, list[Entry]]:
     """The oldest snapshot, and all entries since."""
     found: list[Entry] = []
     at = 0
@@ -103,33 +113,34 @@ def _parts(body: bytes, cells: int) -> tuple[bytes, list[Entry]]:
         at += LENGTH.size
         if at + length > len(body):
             raise ValueError("cut off")
-        found += _entries(body[at : at + length], cells)
+        found += _entries(body[at : at + length], counts)
         at += length
     if not found:
         raise ValueError("nothing in it")
     return oldest, found
 
 
-def _entries(data: bytes, cells: int) -> Iterator[Entry]:
+def _entries(data: bytes, counts: _Counts) -> Iterator[Entry]:
     at = 0
     while at < len(data):
         kind, t_ns, current_A, voltage_V, temperature_degC, *told = ENTRY.unpack_from(data, at)
         at += ENTRY.size
         if kind & Kind.VOLTAGES:
-            voltage_V, at = _array(data, at, cells)
+            voltage_V, at = _array(data, at, counts.cells)
         if kind & Kind.TEMPERATURES:
-            temperature_degC, at = _array(data, at, cells)
+            temperature_degC, at = _array(data, at, counts.sensors)
         sample = Sample(t_ns, current_A, voltage_V, temperature_degC, bool(kind & Kind.OPEN_CIRCUIT))
+        if kind & Kind.STRINGS:
+            sample.string_current_A, at = _array(data, at, counts.strings)
         if kind & Kind.BLEED:
-            bleed_A, at = _array(data, at, cells)
-            sample.bleed_A = np.asarray(bleed_A)
+            sample.bleed_A, at = _array(data, at, counts.cells)
         yield Entry(sample, bool(kind & Kind.COAST), tuple(told))
 
 
-def _array(data: bytes, at: int, cells: int) -> tuple[PerCell, int]:
+def _array(data: bytes, at: int, size: int) -> tuple[NDArray[np.float64], int]:
     (count,) = COUNT.unpack_from(data, at)
     at += COUNT.size
-    values = np.full(cells, NAN)
+    values = np.full(size, NAN)
     middle = at + 2 * count
     values[np.frombuffer(data[at:middle], "<u2")] = np.frombuffer(data[middle : middle + 8 * count], "<f8")
     return values, middle + 8 * count

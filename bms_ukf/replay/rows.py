@@ -6,6 +6,7 @@ import math
 from array import array
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bms_ukf.records import NAN, Estimate, PerCell, Sample, largest_known, mean_known
 from bms_ukf.trace import Trace
@@ -27,15 +28,21 @@ COLUMNS = (
 
 
 class Rows:
-    """What was measured last, and what was estimated. Of a pack mean SoC, largest sigma and NIS."""
+    """What was measured last, and what was estimated. Of a pack mean SoC, largest sigma and NIS, strings together."""
 
     def __init__(self) -> None:
         self._values, self._t_ns = array("d"), array("q")
         self._current_A = self._voltage_V = self._temperature_degC = NAN
+        self._strings_A: NDArray[np.float64] | None = None
 
     def measured(self, sample: Sample) -> None:
         """Take note of what this one carries."""
         current_A, voltage_V = sample.current_A, mean_known(sample.voltage_V)
+        strings_A = sample.string_current_A
+        if strings_A is not None:
+            held_A = strings_A if self._strings_A is None else np.where(np.isnan(strings_A), self._strings_A, strings_A)
+            self._strings_A = held_A.copy()
+            current_A = float(held_A.sum())
         temperature_degC = mean_known(sample.temperature_degC)
         if not math.isnan(current_A):
             self._current_A = current_A
