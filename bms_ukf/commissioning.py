@@ -113,8 +113,8 @@ class Commissioning:
         elif self.fault is Fault.CURRENT_SCALE:
             ratio = -self.slope_ohm / self._r0_ohm()
             log.error(
-                "current%(of)s: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, or "
-                "that of the cell (signals.unit, parallel_cells, capacity_scale)",
+                "current%(of)s: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, "
+                "or that of the cell (signals.unit, parallel_cells, capacity_scale)",
                 {"of": self._of, "seen": seen, "ratio": ratio},
             )
         else:
