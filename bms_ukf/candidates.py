@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from cantools.database.can import Message, Signal
@@ -25,6 +25,7 @@ _OTHER = re.compile(
     r"|fc[A-Z]|_fc|mux|hvil|cable|shunt|dissip|flow|start|reserve|vcfront|vcright|vcleft|pcs"
 )
 _EXTREME = re.compile(r"max|min|high|low")
+_NUMBER = re.compile(r"\d+")
 _NUMBERED = re.compile(r"(.*?)(\d+)(\D*)")
 _CELLS = 4  # so many numbered voltages of one message are cells, and not the supplies of something
 _WORDS_OPEN, _WORDS_CLOSED = re.compile(r"open|off", re.IGNORECASE), re.compile(r"clos|(?:^|_)on(?:$|_)", re.IGNORECASE)
@@ -66,6 +67,15 @@ def cells(messages: Iterable[Message]) -> list[list[str]]:
                 rows[message.name if not stem else "", stem, tail][int(number)] = f"{message.name}.{signal.name}"
     complete = [row for row in rows.values() if len(row) >= _CELLS and max(row) - min(row) == len(row) - 1]
     return sorted(([row[n] for n in sorted(row)] for row in complete), key=lambda row: -len(row))
+
+
+def alike(found: Sequence[Candidate]) -> list[str]:
+    """The names of those that differ from the best in their numbers only, in the order of these, itself included."""
+    if not found:
+        return []
+    stem = _NUMBER.sub("#", found[0].name)
+    numbered = {tuple(map(int, _NUMBER.findall(c.name))): c.name for c in found if _NUMBER.sub("#", c.name) == stem}
+    return [numbered[numbers] for numbers in sorted(numbered)]
 
 
 def contactors(messages: Iterable[Message]) -> list[tuple[str, list[str]]]:

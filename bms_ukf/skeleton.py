@@ -80,7 +80,11 @@ def _best(
         return None, [f"# {key} = {value}   # FILL IN: none found with a unit of {quantity}"]
     best, *others = found
     value = json.dumps([best.name] if key == "temperature" else best.name)
-    return best, [f"{key} = {value}{_about(best)}", *_others(others)]
+    strings = candidates.alike(found) if key == "current" else []
+    parallel = (
+        [f"#   or, of parallel strings, with pack.string_of: {key} = {json.dumps(strings)}"] if strings[1:] else []
+    )
+    return best, [f"{key} = {value}{_about(best)}", *parallel, *_others(others)]
 
 
 def _others(others: Sequence[Candidate]) -> list[str]:
