@@ -29,6 +29,7 @@ from bms_ukf.publication import Publication
 from bms_ukf.records import NAN, Estimate
 from bms_ukf.replay import flight
 from bms_ukf.replay.rows import Rows
+from bms_ukf.scan import TOGETHER_NS, Scan
 from bms_ukf.signals import SignalMap
 from bms_ukf.skeleton import propose
 from bms_ukf.strings import CommissioningStrings, StuckStrings
@@ -219,8 +220,42 @@ def test_strings_whose_frames_come_apart_are_known_as_if_they_came_together(conf
         core.hear(2, False, frame(currents[1], *volts[2:], temperature=0), sample.t_ns)
         known = together.step(sample)
     assert core.estimate.status is Status.OK
-    np.testing.assert_allclose(core.estimate.soc, known.soc, atol=2e-3)
-    assert core.publication.whole(core.estimate, 0).string_current_A[1] == pytest.approx(currents[1])
+    np.testing.assert_allclose(core.estimate.soc, known.soc, atol=1e-6)
+
+
+MS = 10**6
+
+
+@pytest.mark.parametrize(
+    ("parts", "made"),
+    [
+        ([(0, [1, NAN], []), (1, [NAN, 2], [])], [([1, 2], [])]),  # pages of currents
+        ([(0, [1, 2], []), (1, [3, 4], [])], [([1, 2], []), ([3, 4], [])]),
+        ([(0, [1, NAN], []), (1, [NAN, 2], [2, 3])], [([1, 2], [2, 3])]),  # voltages are not lost
+        ([(0, [1, NAN], [0, 1]), (1, [NAN, 2], [2, 3])], [([1, 2], [0, 1, 2, 3])]),  # a frame for each string
+        ([(0, [1, NAN], [0, 1]), (1, [NAN, NAN], [2, 3])], [([1, NAN], [0, 1, 2, 3])]),  # a sensor is dead
+        ([(0, [1, NAN], [0, 1]), (100, [NAN, 2], [2, 3])], [([1, NAN], [0, 1]), ([NAN, 2], [2, 3])]),
+        ([(0, [1, NAN], []), (1, [3, NAN], []), (2, [NAN, 2], [])], [([1, NAN], []), ([3, 2], [])]),  # again
+        ([(0, [1, NAN], []), (1, None, [0, 1]), (2, None, [2, 3])], [([1, NAN], [0, 1, 2, 3])]),
+    ],
+)
+def test_what_comes_of_strings_within_20_ms_is_one_sample_and_nothing_of_it_is_lost_or_counted_twice(parts, made):
+    """Currents of two strings, and the cells that have a voltage, in frames at so many ms."""
+    steps: list[Sample] = []
+    scan = Scan(4, steps.append, lambda _: None)
+    for t_ms, currents, cells in parts:
+        sample = Sample(t_ms * MS)
+        if currents is not None:
+            sample.string_current_A = np.array(currents, dtype=float)
+        if cells:
+            sample.voltage_V = np.full(4, NAN)
+            sample.voltage_V[cells] = 3.7
+        scan.take(sample)
+    scan.flush()
+    assert len(steps) == len(made)
+    for step, (currents, cells) in zip(steps, made, strict=True):
+        np.testing.assert_array_equal(step.string_current_A, currents)
+        assert np.flatnonzero(np.isfinite(np.broadcast_to(step.voltage_V, 4))).tolist() == cells
 
 
 def test_currents_alone_are_a_measurement_and_none_of_any_string_is_not():
@@ -229,6 +264,7 @@ def test_currents_alone_are_a_measurement_and_none_of_any_string_is_not():
     for k, (currents, accepted) in enumerate([([1.0, NAN], 1), ([NAN, NAN], 1), ([NAN, 1.0], 2)]):
         (page,) = encoder.strings(Sample(0, string_current_A=np.array(currents)))
         core.hear(*page, k * SECOND_NS)
+        core.idle(k * SECOND_NS + TOGETHER_NS)
         assert core.estimator.accepted == accepted
 
 
