@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import NamedTuple
 
+import can
 import numpy as np
 import pytest
+from daemon_rig import message, read
 
 from bms_ukf import CellParams, Estimate, Estimator, Fault, Sample, Status
+from bms_ukf.bus import SafeBus, open_bus
+from bms_ukf.clock import LockstepClock
+from bms_ukf.config import Setup
 from bms_ukf.core import Core
+from bms_ukf.daemon import Daemon
 from bms_ukf.decoder import Decoder
+from bms_ukf.flight import Recorder
 from bms_ukf.intake import Intake
 from bms_ukf.node import SampleEncoder
 from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.pace import Pace
 from bms_ukf.plant import open_plant
 from bms_ukf.records import NAN
+from bms_ukf.replay import canlog, flight
 from bms_ukf.signals import SignalMap
 from bms_ukf.wiring import Wiring
 
@@ -93,3 +102,54 @@ def test_each_string_counts_its_own_current_and_a_dead_sensor_degrades_its_own_c
     assert missing == [False] * 3 + [dead] * 3
     assert (pack.estimator.cell_status == Status.OK).tolist() == [True] * 3 + [not dead] * 3
     assert estimate.status is (Status.DEGRADED if dead else Status.OK)
+
+
+CONFIG = """
+format = 1
+cell = "lgm50_chen2020"
+cells = 6
+[bus]
+interface = "virtual"
+channel = "strings"
+[pack]
+string_of = [1, 1, 1, 2, 2, 2]
+[recorder]
+folder = "."
+"""
+
+
+def test_a_daemon_publishes_what_both_strings_give_and_its_log_and_its_flight_run_again(tmp_path, shared):
+    (tmp_path / "can.toml").write_text(CONFIG)
+    setup, clock = Setup.load(tmp_path / "can.toml"), LockstepClock()
+    estimator, encoder, log = setup.estimator(), SampleEncoder(6, 1, 2), can.Logger(tmp_path / "drive.log")
+    recorder, pack = Recorder(estimator, tmp_path), setup.pack_output(estimator)
+    minute = Drive(*(column[OPEN_S : OPEN_S + 60] for column in shared))
+    settings = setup.config.bus
+    with (
+        open_bus(settings, "vehicle") as vehicle,
+        closing(SafeBus(lambda: open_bus(settings, "daemon"))) as bus,
+    ):
+        daemon = Daemon(bus, estimator, setup.intake(), clock=clock, pace=setup.pace, pack=pack)
+        daemon.witness = recorder
+        for t, (current_A, voltage_V, _) in enumerate(zip(*minute, strict=True)):
+            clock.set((t + 1) * SECOND_NS)
+            sample = Sample(0, NAN, np.repeat(voltage_V, 3), 25.0, string_current_A=current_A)
+            for frame in encoder.encode(sample):
+                sent = message(*frame, stamp_s=t + 1.0)
+                vehicle.send(sent)
+                log(sent)
+            while daemon.poll(0.0):
+                pass
+        log.stop()
+        heard = read(list(iter(lambda: vehicle.recv(0.0), None)))
+    together_A = heard["StringBias"]["String1"] + heard["StringBias"]["String2"]
+    assert together_A == pytest.approx(heard["SocDetail"]["CurrentBias"], abs=0.01)
+    assert heard["PackState"]["RemainingCharge"] == pytest.approx(2 * 0.9 * 5.0, rel=0.1)
+    power_W = 3 * (minute.current_A * minute.voltage_V).sum(axis=1)
+    assert pack.estimate.power_W == pytest.approx(power_W.mean(), rel=0.3)
+    (tmp_path / "x.flight").write_bytes(recorder.file(Fault.NONE))
+    assert flight.rerun(tmp_path / "x.flight")[1]["identical"] is True
+    trace, summary = canlog.rerun(tmp_path / "drive.log", tmp_path / "can.toml")
+    assert summary["frames"]["accepted"] == 60 * 4, "PackMeasurement is not mapped"
+    assert trace["soc"][-1] == pytest.approx(float(np.mean(daemon.estimate.soc)), abs=1e-3)
+    assert trace["current_A"][-1] == pytest.approx(minute.current_A[-1].sum(), abs=2e-3)
