@@ -22,7 +22,7 @@ from bms_ukf.pace import Pace
 from bms_ukf.pack import Limits
 from bms_ukf.pack_output import CELL_SOC_PERIOD_S, PackOutput
 from bms_ukf.scaling import scaled
-from bms_ukf.signals import Bound, SignalMap
+from bms_ukf.signals import Bound, Sign, SignalMap
 from bms_ukf.tuning import Tuning
 from bms_ukf.units import BASE
 from bms_ukf.wiring import Wiring
@@ -30,7 +30,7 @@ from bms_ukf.wiring import Wiring
 Text = Annotated[str, Field(min_length=1)]
 Scale = Annotated[float, Field(ge=1e-3, le=1e3)]
 Index = Annotated[int, Field(ge=1, le=400)]
-Names = Annotated[list[Text], Field(min_length=1), BeforeValidator(lambda v: [v] if isinstance(v, str) else v)]
+OneOrMore = BeforeValidator(lambda given: [given] if isinstance(given, str) else given)
 Lag = Annotated[float, Field(ge=0, le=60)]
 
 
@@ -57,8 +57,8 @@ class Signals(toml.Section):
     """[signals]: which "Message.Signal" of the user's DBC files plays which role; without it, our own `bms.dbc`."""
 
     dbc: Annotated[list[Text], Field(min_length=1)]  # relative to the configuration file
-    current: Names  # one, or one for each string of pack.string_of
-    current_positive: Literal["charge", "discharge"]
+    current: Annotated[list[Text], Field(min_length=1), OneOrMore]  # one, or one for each string of pack.string_of
+    current_positive: Annotated[list[Sign], Field(min_length=1), OneOrMore]  # one for all of these, or one for each
     cell_voltage: list[Text] = Field(default_factory=list)  # one a cell, in order
     pack_voltage: Text | None = None  # in place of cell_voltage: the string is estimated as its mean cell
     series_cells: Annotated[int, Field(ge=1)] = 1  # how many cells pack_voltage is the sum of

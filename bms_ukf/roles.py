@@ -49,7 +49,8 @@ def _described(bound: Bound, signals: Signals | None) -> str:
 def _from_config(bound: Bound, signals: Signals) -> list[str]:
     parts = []
     if bound.role == "current":
-        parts.append(f"positive on the bus is {signals.current_positive}")
+        positive = signals.current_positive  # one for all, or one for each
+        parts.append(f"positive on the bus is {positive[bound.index % len(positive)]}")
         parts += [f"shared by {signals.parallel_cells} cells"] if signals.parallel_cells > 1 else []
     if bound.role == "voltage" and signals.pack_voltage is not None:
         parts.append(f"the sum of {signals.series_cells} cells")

@@ -15,6 +15,7 @@ from bms_ukf.e2e import Profile
 from bms_ukf.errors import ConfigError
 from bms_ukf.units import BASE, Conversion, Quantity, conversion, known
 
+Sign = Literal["charge", "discharge"]
 Role = Literal["current", "voltage", "temperature", "contactor", "balancing"]
 
 
@@ -23,7 +24,7 @@ class SignalMap:
     """Which signal, as "Message.Signal", plays which role."""
 
     current: str | Sequence[str]  # of several strings one each, in order
-    current_positive: Literal["charge", "discharge"]
+    current_positive: Sign | Sequence[Sign]  # of all of them, or of each
     cell_voltage: Sequence[str] = ()  # one a cell, in order
     pack_voltage: str | None = None  # in place of cell_voltage: the string is estimated as one mean cell
     series_cells: int = 1  # how many cells pack_voltage is the sum of
@@ -92,6 +93,11 @@ def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, 
     currents = signals.currents
     if len(set(currents)) != len(currents):
         raise ConfigError(source, key="signals.current", value=currents, expected="another signal for each string")
+    positive = [signals.current_positive] if isinstance(signals.current_positive, str) else signals.current_positive
+    if len(positive) not in {1, len(currents)}:
+        expected = f"one for all currents, or one for each of {len(currents)}"
+        raise ConfigError(source, key="signals.current_positive", value=list(positive), expected=expected)
+    signed = [(name, -1.0 if positive[k % len(positive)] == "charge" else 1.0) for k, name in enumerate(currents)]
     measured = {*currents, *voltages, *signals.temperature, *signals.balancing}
     for key, named, known_names in (
         ("not_available", signals.not_available, measured | {signals.contactor}),
@@ -101,10 +107,10 @@ def bind(signals: SignalMap, matrix: Matrix, cells: int, source: str | Path, *, 
         for name in named.keys() - known_names:
             expected = "a signal that has a role in [signals]"
             raise ConfigError(source, key=f"signals.{key}", value=name, expected=expected)
-    sign = -1.0 if signals.current_positive == "charge" else 1.0
+    share = 1.0 / signals.parallel_cells
     binding = _Binding(signals, matrix, source)
     bound = [
-        *(binding.measured("current", "current", k, v, sign / signals.parallel_cells) for k, v in enumerate(currents)),
+        *(binding.measured("current", "current", k, v, sign * share) for k, (v, sign) in enumerate(signed)),
         *(binding.measured("voltage", voltage_key, k, v, 1.0 / signals.series_cells) for k, v in enumerate(voltages)),
         *(binding.measured("temperature", "temperature", k, name, 1.0) for k, name in enumerate(signals.temperature)),
     ]

@@ -115,6 +115,12 @@ def driven(cell: CellParams, seconds: int) -> list[Sample]:
         (CURRENTS, "7", "signals.current is 7; expected a valid list"),
         ("Second.String2Current", "First.String1Current", "expected another signal for each string"),
         ("Second.String2Current", "Second.String3Current", "Second.String2Current"),
+        (
+            '"charge"',
+            '["charge", "charge", "charge"]',
+            "current_positive is ['charge', 'charge', 'charge']; expected",
+        ),
+        ('"charge"', '["charge", "in"]', "signals.current_positive.1 is 'in'; expected 'charge' or 'discharge'"),
         ("cells = 4", "cells = 1", "cells is 1; expected more than one, measured one by one, for 2 strings"),
         (
             "[pack]",
@@ -168,6 +174,15 @@ def test_sign_share_range_and_codes_hold_for_every_string(config):
     np.testing.assert_array_equal(decoder.decode(2, False, frame(60.0, 3.7, 3.7), 0).string_current_A, [NAN, math.inf])
     unknown = (0x7FFF).to_bytes(2, "little") + bytes(6)
     assert np.isnan(decoder.decode(1, False, unknown, 0).string_current_A).all()
+
+
+def test_a_sensor_the_other_way_round_has_a_sign_of_its_own_and_check_tells_it(config):
+    setup = config(CONFIG.replace('"charge"', '["charge", "discharge"]'))
+    np.testing.assert_array_equal(setup.decoder.decode(2, False, frame(5.0, 3.7, 3.7), 0).string_current_A, [NAN, -5.0])
+    lines = [line.strip() for line in service._explanation(setup).splitlines()]
+    told = {line.partition(":")[0]: line for line in lines if line.startswith("current ")}
+    assert "positive on the bus is charge" in told["current 1"]
+    assert "positive on the bus is discharge" in told["current 2"]
 
 
 def test_init_proposes_the_currents_of_strings_in_the_order_of_their_numbers(tmp_path):
