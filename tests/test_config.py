@@ -86,6 +86,21 @@ def test_what_the_example_comments_out_is_valid_where_it_may_stand():
         Setup(toml.validate(tomllib.loads(changed), Config, EXAMPLE), EXAMPLE)
 
 
+def test_the_strings_that_the_example_comments_out_are_valid_there():
+    text = EXAMPLE.read_text(encoding="utf-8")
+    of_each = "# string_of = [1, 1, 2, 2] "
+    assert of_each in text
+    text = text.replace(of_each, "string_of = [1, 1, 2, 2] ").replace("\ncells = 1 ", "\ncells = 4 ")
+    text = text.replace('"BatteryStatus.Current" ', '["BatteryStatus.Current", "BatteryStatus.Voltage"] ', 1)
+    text = text.replace(
+        '["CellStatus.Voltage"] ',
+        '["CellStatus.Voltage", "CellStatus.Voltage", "CellStatus.Voltage", "CellStatus.Voltage"] ',
+    )
+    text = text.replace("# unit = { ", 'unit = { "BatteryStatus.Voltage" = "A", ', 1)
+    setup = Setup(toml.validate(tomllib.loads(text), Config, EXAMPLE), EXAMPLE)
+    assert setup.wiring.strings == 2
+
+
 def test_the_balancing_that_the_example_comments_out_is_valid_there():
     text = EXAMPLE.read_text(encoding="utf-8")
     for line in ('balancing = ["CellStatus.Balancing"]', "bleed_A = 0.1"):

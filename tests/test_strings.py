@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 from drives import CELL
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from model_cell import ModelCell
 
 from bms_ukf import CellParams, ConfigError, Estimator, Fault, Sample, Status, service
@@ -281,6 +283,30 @@ def test_currents_alone_are_a_measurement_and_none_of_any_string_is_not():
         core.hear(*page, k * SECOND_NS)
         core.idle(k * SECOND_NS + TOGETHER_NS)
         assert core.estimator.accepted == accepted
+
+
+@pytest.fixture(scope="module")
+def wired(tmp_path_factory):
+    """Setups of the CONFIG above, for a test that is run many times."""
+    folder = tmp_path_factory.mktemp("wired")
+    (folder / "car.dbc").write_text(DBC)
+    (folder / "can.toml").write_text(CONFIG)
+    return lambda: Setup.load(folder / "can.toml")
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(st.tuples(st.integers(1, 2), st.binary(max_size=9), st.integers(-50, 4000)), max_size=40))
+def test_no_frame_of_a_string_whatever_is_in_it_ends_the_daemon_or_makes_a_soc_that_is_none(wired, frames):
+    setup, t_ns = wired(), 0
+    core = Core(setup.estimator(), setup.intake(), setup.pace)
+    for k in range(5):
+        core.hear(1, False, frame(1.0, 3.7, 3.7), k * SECOND_NS)
+        core.hear(2, False, frame(1.0, 3.7, 3.7), k * SECOND_NS)
+    for identifier, data, apart_ms in frames:
+        t_ns += apart_ms * MS
+        core.hear(identifier, False, data, 5 * SECOND_NS + t_ns)
+        soc = core.estimate.soc
+        assert ((soc >= 0) & (soc <= 1) | np.isnan(soc)).all()
 
 
 # --- what is published and kept -------------------------------------------------------------------------------------
