@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bms_ukf.records import NAN, PerCell, Sample
 
@@ -30,34 +29,25 @@ class Scan:
         self._cells, self._step, self._end = cells, step, end
         self._seen = set[int]()
         self._held: Sample | None = None
-        self._voltage_V: NDArray[np.float64] = np.empty(0)  # of the held one
         self.held_ns: int | None = None  # when the first page of it was measured
 
     def take(self, sample: Sample) -> None:
         """Handle a sample, or hold it. It may be overwritten afterwards."""
-        voltage, strings_A = sample.voltage_V, sample.string_current_A
-        some = strings_A is not None and bool(np.isnan(strings_A).any())  # strings, and others of them are to come
-        if isinstance(voltage, float):
-            if some:
-                if not np.isnan(self._hold(sample).currents_A).any():
-                    self.flush()
-                return
-            self.flush()
+        voltage = sample.voltage_V
+        if self._cells == 1:
             self._step(sample)
-            if self._cells == 1 and voltage == voltage:  # noqa: PLR0124 - not NaN, in a tenth of the time
+            if voltage == voltage:  # noqa: PLR0124 - not NaN, in a tenth of the time
                 self._end(sample.t_ns)
             return
-        read = voltage == voltage  # noqa: PLR0124
-        fresh = read.nonzero()[0].tolist()
+        fresh = [] if isinstance(voltage, float) else (voltage == voltage).nonzero()[0].tolist()  # noqa: PLR0124
         again = not self._seen.isdisjoint(fresh)
         if again:
             self._seen.clear()
-        if again or not fresh or not (some or _is_page(sample)):
+        if not again and (_is_of_some_strings(sample) or (fresh and _is_page(sample))):
+            self._hold(sample)
+        else:
             self.flush()
             self._step(sample)
-        else:
-            self._hold(sample)
-            np.copyto(self._voltage_V, voltage, where=read)
         self._seen.update(fresh)
         whole = len(self._seen) == self._cells
         if whole:
@@ -77,39 +67,52 @@ class Scan:
         if held is not None:
             self._step(held)
 
-    def _hold(self, page: Sample) -> Sample:
-        """Hold all of it but the voltages; returns what is held now."""
+    def _hold(self, part: Sample) -> None:
+        """Put a part of an instant to what is held of it."""
         held = self._held
         if held is not None and (
-            page.t_ns < held.t_ns or page.open_circuit is not held.open_circuit or _has_one_of(held, page)
+            part.t_ns < held.t_ns or part.open_circuit is not held.open_circuit or _has_one_of(held, part)
         ):
             self.flush()
-        self.due(page.t_ns)
+        self.due(part.t_ns)
+        if self._held is None:
+            self._held = Sample(part.t_ns, voltage_V=np.full(self._cells, NAN), open_circuit=part.open_circuit)
+            self.held_ns = part.t_ns
         held = self._held
-        if held is None:
-            self._voltage_V = np.full(self._cells, NAN)
-            held = self._held = Sample(page.t_ns, voltage_V=self._voltage_V, open_circuit=page.open_circuit)
-            self.held_ns = page.t_ns
-        held.t_ns, held.bleed_A = page.t_ns, page.bleed_A
-        if page.string_current_A is not None:
-            _join(held, page.string_current_A, page.temperature_degC)
-        return held
+        held.t_ns, held.bleed_A = part.t_ns, part.bleed_A
+        held.voltage_V = _joined(held.voltage_V, part.voltage_V)
+        if part.string_current_A is None:
+            return
+        held.temperature_degC = _joined(held.temperature_degC, part.temperature_degC)
+        if held.string_current_A is None:
+            held.string_current_A = part.string_current_A.copy()
+        else:
+            _joined(held.string_current_A, part.string_current_A)
+        if isinstance(part.voltage_V, float) and not np.isnan(held.string_current_A).any():
+            self.flush()
 
 
-def _join(held: Sample, strings_A: NDArray[np.float64], temperature_degC: PerCell) -> None:
-    """Add what a frame of some strings says to `held`."""
-    if held.string_current_A is None:
-        held.string_current_A = np.full(len(strings_A), NAN)
-    np.copyto(held.string_current_A, strings_A, where=~np.isnan(strings_A))
-    if not np.isnan(temperature_degC).all():
-        held.temperature_degC = temperature_degC if isinstance(temperature_degC, float) else temperature_degC.copy()
+def _joined(held: PerCell, part: PerCell) -> PerCell:
+    """What is known of either, in the array of `held` if both are arrays; never that of `part`, which is not ours."""
+    if isinstance(part, float):
+        return held if np.isnan(part) else part
+    if isinstance(held, float):
+        return part.copy()
+    np.copyto(held, part, where=part == part)  # noqa: PLR0124
+    return held
 
 
-def _has_one_of(held: Sample, page: Sample) -> bool:
+def _has_one_of(held: Sample, part: Sample) -> bool:
     """Whether both have the current of a string."""
-    if held.string_current_A is None or page.string_current_A is None:
+    if held.string_current_A is None or part.string_current_A is None:
         return False
-    return not np.isnan(held.string_current_A + page.string_current_A).all()
+    return not np.isnan(held.string_current_A + part.string_current_A).all()
+
+
+def _is_of_some_strings(sample: Sample) -> bool:
+    """Whether it has the current of a string, and those of others are still to come."""
+    strings_A = sample.string_current_A
+    return strings_A is not None and bool(np.isnan(strings_A).any())
 
 
 def _is_page(sample: Sample) -> bool:
