@@ -27,24 +27,26 @@ capacity. Resistance is r0 as the filter tracks it, averaged over the time in wh
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bms_ukf import beliefs
+from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
 from bms_ukf.kernel import layout
 from bms_ukf.kernel.adapt import R0_SIGMA
 from bms_ukf.kernel.params import voltage_sigmas
 from bms_ukf.kernel.process import R0_SHAPE
+from bms_ukf.pack.counted import Counted
 from bms_ukf.records import Estimate, Sample, Status
 
 Array = NDArray[np.float64]
 
 REST_S = 1800.0  # so long without a load, and what is left of polarisation is what the cell file says it errs by
-REST_C = 0.04  # what is no load, offset included, as a share of the capacity per hour
 LEAST = 0.2  # change of SoC that tells of capacity
 OLD = 0.05  # a segment in whose time so much of the capacity may have flowed unseen begins anew
 GATE = 4.0  # sigmas: a segment farther off is no segment of this cell
@@ -53,36 +55,46 @@ WALK_PER_DAY = 2e-4  # how far a capacity moves, one sigma
 RESISTANCE_TAU_S = 36000.0  # of driving, over which r0 is averaged
 SLOPE_SPAN = 0.02  # of SoC, over which the OCV's slope is taken
 DAY_S = 86400.0
-_MAGIC = b"BMSHLTH1"
-_HEAD = struct.Struct("<8sq?ddd")
+_BEGUN = ("soc", "soc_var", "charge_As", "shown_A", "passed_s", "counted_s")  # of a segment
+_MAGIC = b"BMSHLTH2"
+_HEAD = struct.Struct("<8sqq32s32s")  # cells, strings, SHA-256 of the cell file and of the numbers
 
 
 class Health:
     """Follows every step of an estimator: `follow` after each `Estimator.step`.
 
     `capacity` and `resistance` are multiples of the cell file's, shape (cells,), `capacity_sigma` and
-    `resistance_sigma` one standard deviation of them. `segments` counts what has told of each cell's capacity.
+    `resistance_sigma` one standard deviation of them; before anything has told of them, what is assumed of a fresh
+    cell. `segments` counts what has told of each cell's capacity, `told_s` the time that has told of its resistance.
     """
 
     def __init__(self, estimator: Estimator) -> None:
+        """The capacities are those that the estimator has now."""
         self.estimator = estimator
         cells = estimator.cells
         self._gain_sigma = estimator.tuning.current_gain_sigma
+        self._model_V = math.hypot(*voltage_sigmas(estimator.cell))
+        self._cell_hash = hashlib.sha256(estimator.cell.model_dump_json().encode()).digest()
         self.capacity = estimator.capacity_scale
         self._variance = np.full(cells, FRESH_SIGMA**2)
+        self.segments = np.zeros(cells, dtype=np.int64)
         self.resistance = np.ones(cells)
         self.resistance_sigma = np.full(cells, R0_SIGMA)
-        self.segments = np.zeros(cells, dtype=np.int64)
-        self._model_V = math.hypot(*voltage_sigmas(estimator.cell))
-        self._charge_Ah = np.zeros(cells)  # since the rest that a segment begins at
-        self._shown_A = np.zeros(cells)  # by the sensors, mean of the present rest
-        self._soc = np.full(cells, math.nan)  # at that rest; NaN: none yet
-        self._soc_var = np.zeros(cells)
-        self._offset_A = np.zeros(cells)  # and what the sensors showed
-        self._since_s = np.zeros(cells)
-        self._rest_s = self._walked_s = self._driven_s = 0.0
-        self._broken = True  # the charge since then is not known
-        self._t_ns: int | None = None
+        self.told_s = np.zeros(cells)
+        self._counted = Counted(estimator)
+        self._walked_s = 0.0  # of the time counted, until when the variance has grown
+        self._observed = False  # the present rest
+        self._from = np.full((len(_BEGUN), cells), math.nan)  # the rest that a cell's segment began at; NaN: none
+
+    @property
+    def told_capacity(self) -> Array:
+        """(cells,) NaN where nothing has told of it."""
+        return np.where(self.segments > 0, self.capacity, math.nan)
+
+    @property
+    def told_resistance(self) -> Array:
+        """(cells,) NaN where nothing has told of it."""
+        return np.where(self.told_s > 0, self.resistance, math.nan)
 
     @property
     def capacity_sigma(self) -> Array:
@@ -92,92 +104,94 @@ class Health:
 
     def follow(self, sample: Sample, estimate: Estimate) -> None:
         """Take note of a step: `estimate` is what `sample` gave."""
-        last_ns, self._t_ns = self._t_ns, sample.t_ns
-        dt = 0.0 if last_ns is None else (sample.t_ns - last_ns) * 1e-9
-        if dt < 0:
-            self._t_ns = last_ns
-            return
-        current = self._currents(sample)
-        if current is None:
-            return self._wait(dt)
-        if dt > self.estimator.tuning.current_timeout_s:
-            self._broken, self._rest_s = True, 0.0
-            return None
-        ce = self.estimator.cell.cell.coulombic_efficiency
-        flows = current + np.nan_to_num(self.estimator.bleed_A)
-        self._charge_Ah += np.where(flows < 0, ce * flows, flows) * (dt / 3600)
-        self._since_s += dt
-        self._walked_s += dt
-        if not np.max(np.abs(current)) <= REST_C * self.estimator.cell.cell.capacity_Ah:
-            self._rest_s = 0.0
-            self._learn_resistance(dt)
-            return None
-        before, self._rest_s = self._rest_s, self._rest_s + dt
-        share = dt / self._rest_s if self._rest_s > 0 else 1.0
-        self._shown_A += min(share, 1.0) * (current - self._shown_A)
-        if before < REST_S <= self._rest_s and estimate.status in {Status.OK, Status.DEGRADED}:
-            self._observe(estimate)
-        return None
+        if self._counted.count(sample):
+            self._look(estimate)
+
+    def replay(
+        self, t_ns: ArrayLike, current_A: ArrayLike, voltage_V: ArrayLike, temperature_degC: ArrayLike
+    ) -> dict[str, NDArray[np.generic]]:
+        """`Estimator.replay`, followed: adds `soh`, the capacity of every row, NaN before anything has told of it."""
+        inputs = [np.asarray(values) for values in (t_ns, current_A, voltage_V, temperature_degC)]
+        sample, parts, begin, rows = Sample(0), [], 0, len(inputs[0])
+        for k, (sample.t_ns, sample.current_A) in enumerate(zip(*(i.tolist() for i in inputs[:2]), strict=True), 1):
+            due = self._counted.count(sample)
+            if due or k == rows:
+                part = self.estimator.replay(*(values[begin:k] for values in inputs))
+                parts.append(part | {"soh": np.full(k - begin, self.told_capacity[0])})
+                begin = k
+            if due:
+                soc, sigma, age_s = (float(part[name][-1]) for name in ("soc", "soc_sigma", "age_s"))
+                status = Status(int(part["status"][-1]))
+                self._look(Estimate(soc=soc, soc_sigma=sigma, age_s=age_s, status=status))
+        if not parts:
+            return self.estimator.replay(*inputs) | {"soh": np.empty(0)}
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def slept(self, off_s: float, t_ns: int) -> None:
         """`off_s` s have passed at rest, as `Estimator.sleep` lets them; the time is `t_ns` now."""
-        self._t_ns = t_ns
-        self._charge_Ah += self.estimator.tuning.standby_current_A * off_s / 3600
-        self._since_s += off_s
-        self._walked_s += off_s
-        self._rest_s = min(self._rest_s + off_s, math.nextafter(REST_S, 0.0))
+        self._counted.slept(off_s, t_ns)
+        self._observed = False
 
-    def _wait(self, dt: float) -> None:
-        """Without a current of its own a sample only takes time; the next current is of all of it."""
-        if self._t_ns is not None:
-            self._t_ns -= round(dt * 1e9)
+    def lose(self) -> None:
+        """What has flowed of late is not known: segments begin anew."""
+        self._counted.whole = False
 
-    def _currents(self, sample: Sample) -> Array | None:
-        """(cells,) through each cell's string, None if that is not known of every string."""
-        string_of, strings_A = self.estimator.wiring.string_of, sample.string_current_A
-        if string_of is None:
-            known = math.isfinite(sample.current_A)
-            return np.full(self.estimator.cells, sample.current_A) if known else None
-        return strings_A[string_of] if strings_A is not None and np.isfinite(strings_A).all() else None
+    def _look(self, estimate: Estimate) -> None:
+        load_s = self._counted.settle()
+        if load_s:
+            self._learn_resistance(load_s)
+        if not self._counted.whole:
+            self._from[:] = math.nan
+            self._counted.whole = True
+        if self._counted.rest_s < REST_S:
+            self._observed = False
+        elif not self._observed and estimate.status in {Status.OK, Status.DEGRADED}:
+            self._observed = self._observe(estimate)
 
-    def _learn_resistance(self, dt: float) -> None:
+    def _learn_resistance(self, load_s: float) -> None:
         """Average r0 over the time under load."""
         e = self.estimator
         scale = beliefs.per_cell(e._state, layout.H_R0_SCALE, e.cells)
         variance = beliefs.per_cell(e._state, layout.H_R0_VAR, e.cells)
-        told = np.isfinite(scale) & (variance < (0.75 * R0_SIGMA) ** 2)  # else the time is long since a step
-        self._driven_s += dt
-        share = np.where(told, dt / min(max(self._driven_s, 1.0), RESISTANCE_TAU_S), 0.0)
         used = e.resistance_scale * (scale - np.clip(scale - 1, -R0_SHAPE, R0_SHAPE))
+        told = np.isfinite(used) & (variance < (0.75 * R0_SIGMA) ** 2)  # else the time is long since a step
+        self.told_s += np.where(told, load_s, 0.0)
+        share = np.where(told, load_s / np.clip(self.told_s, load_s, RESISTANCE_TAU_S), 0.0)
         self.resistance += share * np.nan_to_num(used - self.resistance)
         self.resistance_sigma += share * np.nan_to_num(np.sqrt(variance) - self.resistance_sigma)
 
-    def _observe(self, estimate: Estimate) -> None:
-        """A rest is long enough: what lies between it and the one before tells of capacity."""
+    def _observe(self, estimate: Estimate) -> bool:
+        """A rest is long enough: what lies between it and the one before tells of capacity. False without a voltage."""
+        counted = self._counted
         soc = np.array(np.atleast_1d(estimate.soc), dtype=float)
-        sigma = np.atleast_1d(estimate.soc_sigma)
         fresh = np.atleast_1d(estimate.age_s) <= self.estimator.tuning.voltage_timeout_s
-        variance = np.where(fresh, sigma**2 + (self._model_V / self._slope(soc)) ** 2, math.nan)
-        ends = np.full(self.estimator.cells, True) if self._broken else self._learn_capacity(soc, variance)
-        self._broken = False
-        for held, new in ((self._soc, soc), (self._soc_var, variance), (self._offset_A, self._shown_A)):
-            np.copyto(held, new, where=ends)
-        self._charge_Ah[ends] = self._since_s[ends] = 0.0
+        variance = np.atleast_1d(estimate.soc_sigma) ** 2 + (self._model_V / _slope(self.estimator.cell, soc)) ** 2
+        heard = fresh & np.isfinite(soc + variance)
+        now = np.empty_like(self._from)
+        shown_A = counted.of_cells(counted.shown_A)
+        values = soc, variance, counted.charge_As(), shown_A, counted.passed_s, counted.counted_s
+        for row, value in zip(now, values, strict=True):
+            row[:] = value
+        ends = heard & self._learn_capacity(now, heard)
+        self._from[:, ends] = now[:, ends]
+        return bool(heard.any())
 
-    def _learn_capacity(self, soc: Array, variance: Array) -> NDArray[np.bool_]:
+    def _learn_capacity(self, now: Array, heard: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Returns the cells whose segment ends here; that of the others goes on to a later rest."""
         e = self.estimator
-        capacity_Ah, hours = e.cell.cell.capacity_Ah, self._since_s / 3600
-        self._variance += WALK_PER_DAY**2 * self._walked_s / DAY_S
-        self._walked_s = 0.0
+        capacity_Ah = e.cell.cell.capacity_Ah
+        self._variance += WALK_PER_DAY**2 * (self._counted.passed_s - self._walked_s) / DAY_S
+        self._walked_s = self._counted.passed_s
+        begun, ended = (dict(zip(_BEGUN, rows, strict=True)) for rows in (self._from, now))
+        charge_Ah, hours, counted_h = ((ended[n] - begun[n]) / 3600 for n in ("charge_As", "passed_s", "counted_s"))
         most_A = 2.5 * float(e._params[layout.P_BIAS_SIGMA])
-        offset = np.clip((self._offset_A + self._shown_A) / 2, -most_A, most_A)
-        h = capacity_Ah * (self._soc - soc)
+        offset_A = np.clip((begun["shown_A"] + ended["shown_A"]) / 2, -most_A, most_A)
+        h = capacity_Ah * (begun["soc"] - ended["soc"])
         unseen_Ah = float(e._params[layout.P_PARASITIC]) * hours
-        noise = unseen_Ah**2 + (self.capacity * capacity_Ah) ** 2 * (self._soc_var + variance)
-        innovation = self._charge_Ah - offset * hours - self.capacity * h
+        noise = unseen_Ah**2 + (self.capacity * capacity_Ah) ** 2 * (begun["soc_var"] + ended["soc_var"])
+        innovation = charge_Ah - offset_A * counted_h - self.capacity * h
         spread = self._variance * h * h + noise
-        known = np.isfinite(spread)
+        known = heard & np.isfinite(spread)
         long = np.abs(h) >= LEAST * capacity_Ah
         tells = known & long & (innovation**2 <= GATE**2 * spread)
         gain = np.where(tells, self._variance * h / spread, 0.0)
@@ -189,33 +203,40 @@ class Health:
         ends: NDArray[np.bool_] = ~known | long | (unseen_Ah > OLD * capacity_Ah)
         return ends
 
-    def _slope(self, soc: Array) -> Array:
-        """Of the OCV at 25 degC, V per unit of SoC, never 0."""
-        cell = self.estimator.cell
-        low, high = (
-            np.asarray(cell.ocv_V(np.clip(soc + side, 0, 1), 25.0), float) for side in (-SLOPE_SPAN, SLOPE_SPAN)
-        )
-        slope: Array = np.maximum(np.abs(high - low) / (2 * SLOPE_SPAN), 1e-3)
-        return slope
-
     def snapshot(self) -> bytes:
-        """All that is known, for `restore` by the same number of cells."""
-        times = self._rest_s, self._walked_s, self._driven_s
-        head = _HEAD.pack(_MAGIC, len(self.capacity), self._broken, *times)
-        return head + b"".join(array.tobytes() for array in self._arrays())
+        """All that is known, for `restore` by as many cells of the same cell file."""
+        numbers = np.concatenate([np.ravel(part) for part in self._parts()], dtype=np.float64).tobytes()
+        strings = self.estimator.wiring.strings
+        head = (_MAGIC, self.estimator.cells, strings, self._cell_hash, hashlib.sha256(numbers).digest())
+        return _HEAD.pack(*head) + numbers
 
     def restore(self, snapshot: bytes) -> None:
         """Go back to a `snapshot`, the estimator with its capacities. ValueError, changing nothing, if it is none."""
-        cells = self.estimator.cells
-        size = _HEAD.size + 8 * cells * len(self._arrays())
-        if len(snapshot) != size or _HEAD.unpack_from(snapshot)[:2] != (_MAGIC, cells):
-            raise ValueError(f"not the health of {cells} cells by this version")
-        _, _, self._broken, self._rest_s, self._walked_s, self._driven_s = _HEAD.unpack_from(snapshot)
-        for k, array in enumerate(self._arrays()):
-            array[:] = np.frombuffer(snapshot, array.dtype, cells, _HEAD.size + 8 * cells * k)
-        self._t_ns = None
+        cells, strings = self.estimator.cells, self.estimator.wiring.strings
+        if len(snapshot) < _HEAD.size or snapshot[: len(_MAGIC)] != _MAGIC:
+            raise ValueError("not the health of cells by this version")
+        head, numbers = _HEAD.unpack_from(snapshot), snapshot[_HEAD.size :]
+        if head[1:3] != (cells, strings) or head[3] != self._cell_hash:
+            raise ValueError(f"the health of {head[1]} cells in {head[2]} strings, or of another cell file")
+        if head[4] != hashlib.sha256(numbers).digest():
+            raise ValueError("a damaged health")
+        ends = np.cumsum([np.size(part) for part in self._parts()])[:-1]
+        learnt, begun, segments, walked_s, *counted = np.split(np.frombuffer(numbers).copy(), ends)
+        self.capacity, self._variance, self.resistance, self.resistance_sigma, self.told_s = learnt.reshape(5, cells)
+        self._from, self.segments = begun.reshape(self._from.shape), segments.astype(np.int64)
+        self._walked_s = float(walked_s[0])
+        self._counted.restore(*counted)
+        self._observed = False
         self.estimator.capacity_scale = self.capacity
 
-    def _arrays(self) -> list[NDArray[np.generic]]:
-        known = [self.capacity, self._variance, self.resistance, self.resistance_sigma, self.segments]
-        return [*known, self._charge_Ah, self._shown_A, self._soc, self._soc_var, self._offset_A, self._since_s]
+    def _parts(self) -> list[ArrayLike]:
+        learnt = np.stack([self.capacity, self._variance, self.resistance, self.resistance_sigma, self.told_s])
+        return [learnt, self._from, self.segments, self._walked_s, *self._counted.parts()]
+
+
+def _slope(cell: CellParams, soc: Array) -> Array:
+    """Of the OCV at 25 degC, V per unit of SoC, never 0."""
+    ends = (np.asarray(cell.ocv_V(np.clip(soc + side, 0, 1), 25.0), float) for side in (-SLOPE_SPAN, SLOPE_SPAN))
+    low, high = ends
+    slope: Array = np.maximum(np.abs(high - low) / (2 * SLOPE_SPAN), 1e-3)
+    return slope
