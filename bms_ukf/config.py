@@ -19,7 +19,7 @@ from bms_ukf.intake import Intake
 from bms_ukf.logsetup import Log
 from bms_ukf.open_circuit import OpenCircuit
 from bms_ukf.pace import Pace
-from bms_ukf.pack import Limits
+from bms_ukf.pack import Health, Limits
 from bms_ukf.pack_output import CELL_SOC_PERIOD_S, PackOutput
 from bms_ukf.scaling import scaled
 from bms_ukf.signals import Bound, Sign, SignalMap
@@ -124,6 +124,7 @@ class Config(toml.Document):
     transmit: Literal["on_update", "periodic"] = "on_update"  # after each scan of the voltages, or every period_s
     period_s: Annotated[float, Field(ge=0.005, le=10)] = 0.1
     soc_slew_per_s: Annotated[float, Field(gt=0, le=1)] = 0.001  # how fast SocSlewed may be corrected
+    health: bool = True  # tell capacity and resistance of each cell from its use, and count SoC by that capacity
     bus: Bus
     signals: Signals | None = None
     pack: PackUse | None = None  # what is known of a pack is published with it, and of several cells without it, too
@@ -182,6 +183,10 @@ class Setup:
             return None
         use = self.config.pack or PackUse()
         return PackOutput(estimator, use, use.cell_soc_period_s)
+
+    def health(self, estimator: Estimator) -> Health | None:
+        """What is told of how its cells age; None if the configuration does not want it."""
+        return Health(estimator) if self.config.health else None
 
     def _wiring(self) -> Wiring:
         pack, cells = self.config.pack or PackUse(), self.config.cells

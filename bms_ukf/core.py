@@ -17,6 +17,7 @@ from bms_ukf.commissioning import Commissioning
 from bms_ukf.estimator import Estimator
 from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
+from bms_ukf.pack import Health
 from bms_ukf.publication import Publication
 from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored, mean_known
 from bms_ukf.scan import TOGETHER_NS, Scan
@@ -42,8 +43,8 @@ class Witness(Protocol):
 class Core:
     """One estimator, its way in, and what is to be published of it. Nobody hears that but `witness`."""
 
-    def __init__(self, estimator: Estimator, intake: Intake, pace: Pace) -> None:
-        self.estimator = estimator
+    def __init__(self, estimator: Estimator, intake: Intake, pace: Pace, health: Health | None = None) -> None:
+        self.estimator, self.health = estimator, health
         self.publication = Publication(estimator.cell.cell.capacity_Ah)
         cell, wiring = estimator.cell, estimator.wiring
         self._strings = several = wiring.members()
@@ -115,7 +116,7 @@ class Core:
         """Send the set that `estimate` and `detail` are."""
 
     def _step(self, sample: Sample) -> None:
-        estimate, witness = self.estimate, self.witness
+        estimate, witness, health = self.estimate, self.witness, self.health
         self.stuck.take(sample)
         voltage = sample.voltage_V
         heard = None if isinstance(voltage, float) else (voltage == voltage).nonzero()[0]  # noqa: PLR0124 - not NaN
@@ -124,6 +125,8 @@ class Core:
             self.publication.follow(sample, estimate, heard)
             return
         self.estimator.step(sample, out=estimate)
+        if health is not None and self.commissioning.fault is Fault.NONE:
+            health.follow(sample, estimate)
         if witness is not None:
             witness.stepped(sample, estimate)
         self.publication.follow(sample, estimate, heard)

@@ -17,8 +17,10 @@ from bms_ukf.clock import StampClock
 from bms_ukf.core import Core
 from bms_ukf.encoder import Encoder
 from bms_ukf.estimator import Estimator
+from bms_ukf.health_encoder import HealthEncoder
 from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
+from bms_ukf.pack import Health
 from bms_ukf.pack_output import PackOutput
 from bms_ukf.records import Detail
 
@@ -52,16 +54,18 @@ class Daemon(Core):
         pace: Pace = Pace(),  # noqa: B008 - a tuple
         fd: bool = False,
         pack: PackOutput | None = None,
+        health: Health | None = None,
     ) -> None:
         """`clock` times the frames (None: a `StampClock`). `fd`: CAN FD frames are read. `pack`: what is published of
-        it; None: of several cells by the defaults, of a single one nothing.
+        it; None: of several cells by the defaults, of a single one nothing. `health`: followed and published.
         """
         self.bus, self._fd = bus, fd
         self.encoder = Encoder()
         self.pack = pack or (PackOutput(estimator) if estimator.cells > 1 else None)
         self._clock: Clock = clock or StampClock()
         self._health_ns = 0
-        super().__init__(estimator, intake, pace)
+        self._ageing = None if health is None else HealthEncoder(health)
+        super().__init__(estimator, intake, pace, health)
 
     def reconfigure(self, bus: SafeBus, intake: Intake, *, pace: Pace, fd: bool, pack: PackOutput | None) -> None:
         """Go on with another bus, way in and pace. What the estimator knows, the time and the counters stay."""
@@ -118,5 +122,7 @@ class Daemon(Core):
         if self.pack is not None:
             whole = self.publication.whole(self.estimate, t_ns)
             frames = self.pack.frames(whole, self.estimate, accepted) + frames
+        if self._ageing is not None:
+            frames = self._ageing.encode(t_ns, accepted) + frames
         for frame in frames:
             bus.send(frame, t_ns)

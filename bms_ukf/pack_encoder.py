@@ -34,7 +34,14 @@ SELDOM = {
         "FirstSilentCell": ("silent_cell", 1.0),
     },
 }
-CELL_NUMBERS = {"discharge_cell", "charge_cell", "silent_cell"}  # from 0 inside, from 1 on the bus
+CELL_NUMBERS = {
+    "discharge_cell",
+    "charge_cell",
+    "silent_cell",
+    "capacity_cell",
+    "resistance_cell",
+    "cell",
+}  # from 0 inside, from 1 on the bus
 
 
 class PackEncoder:
@@ -47,8 +54,8 @@ class PackEncoder:
 
     def __init__(self, cells: int, cell_soc_period_s: float, strings: int = 1) -> None:
         matrix = own_matrix()
-        self._often = [_Message(name, signals) for name, signals in OFTEN.items()]
-        self._seldom = [_Message(name, signals) for name, signals in SELDOM.items()]
+        self._often = [Told(name, signals) for name, signals in OFTEN.items()]
+        self._seldom = [Told(name, signals) for name, signals in SELDOM.items()]
         self._seldom_ns: int | None = None
         self._bias = Pages(matrix, "StringBias", "String", strings) if strings > 1 else None
         self._biases_told = self._bias_accepted = 0
@@ -100,8 +107,8 @@ class PackEncoder:
         return frames
 
 
-class _Message:
-    """One message of a pack, its signals bound to the fields of a `PackEstimate`."""
+class Told:
+    """One message, its signals bound to the fields of what it tells of."""
 
     def __init__(self, name: str, signals: dict[str, tuple[str, float]]) -> None:
         matrix = own_matrix()
@@ -111,10 +118,10 @@ class _Message:
             for signal, (field, factor) in signals.items()
         ]
 
-    def frame(self, pack: PackEstimate, accepted: int) -> Frame:
+    def frame(self, told: object, accepted: int) -> Frame:
         word = 0
         for field, insert in self._inserts:
-            value = getattr(pack, field)
+            value = getattr(told, field)
             if field in CELL_NUMBERS:
                 value = NAN if value < 0 else value + 1.0
             word |= insert(value)

@@ -25,7 +25,7 @@ from bms_ukf.flight import Recorder
 from bms_ukf.framelog import FrameLog
 from bms_ukf.notify import Notifier
 from bms_ukf.records import Status, Stored
-from bms_ukf.state import Keeper, resume
+from bms_ukf.state import Keeper, content, resume
 
 log = logging.getLogger(__name__)
 
@@ -82,6 +82,7 @@ class Service:
             pace=self._setup.pace,
             fd=config.bus.fd,
             pack=self._setup.pack_output(self._estimator),
+            health=self._setup.health(self._estimator),
         )
         self._keeper = self._keeper_of(self._setup)
         self._exporter = self._exporter_of(self._setup)
@@ -92,7 +93,8 @@ class Service:
         state = self._setup.config.state
         if state is not None:
             place = _place(state.file, self._path)
-            stored, line = resume(self._estimator, place, time.time_ns(), self.daemon.now_ns(), state.max_age_s)
+            now_ns, health = self.daemon.now_ns(), self.daemon.health
+            stored, line = resume(self._estimator, place, time.time_ns(), now_ns, state.max_age_s, health)
             level = logging.INFO if stored <= Stored.USED else logging.WARNING
             log.log(level, "state: %(state)s: %(reason)s", {"state": stored.word, "reason": line})
             self.daemon.resumed(stored)
@@ -145,7 +147,7 @@ class Service:
         """ConfigError, with everything as it was, if that cannot be done."""
         old, new = self._setup.config, setup.config
         if _fixed(self._setup) != _fixed(setup):
-            expected = "cell, cells, wiring, balancing or not, and [estimator] as before: restart to change them"
+            expected = "cell, cells, wiring, balancing or not, health and [estimator] as before: restart to change them"
             raise ConfigError(self._path, expected=expected)
         witness = self.daemon.witness if old.recorder == new.recorder else self._recorder_of(setup)
         if old.metrics != new.metrics:
@@ -192,7 +194,7 @@ class Service:
     def _store(self) -> None:
         """Nothing that is worth less than what was stored before takes its place."""
         if self._keeper is not None and self.daemon.estimate.status in {Status.OK, Status.DEGRADED}:
-            self._keeper.keep(self._estimator.snapshot(), time.time_ns())
+            self._keeper.keep(content(self._estimator, self.daemon.health), time.time_ns())
 
     def _status(self) -> str:
         estimate, counters = self.daemon.estimate, self._setup.decoder.counters
@@ -219,6 +221,9 @@ def _explanation(setup: Setup) -> str:
         *roles.explained(setup.decoder.bound, signals),
     ]
     lines += _pack_explained(setup)
+    if config.health:
+        kept = "kept with the state" if config.state is not None else "not kept: there is no [state]"
+        lines.append(f"capacity and resistance of each cell told from its use, {kept}")
     if config.state is not None:
         lines.append(f"state stored in {_place(config.state.file, setup.source)} every {config.state.period_s:g} s")
     if config.recorder is not None:
@@ -248,7 +253,7 @@ def _fixed(setup: Setup) -> tuple[object, ...]:
     """What an estimator is made of."""
     config, wired = setup.config, [getattr(setup.wiring, key) for key in setup.wiring.__slots__]
     of = tuple(None if indices is None else tuple(indices) for indices in wired)
-    return setup.cell, config.cells, config.estimator, of, setup.decoder.balancing is not None
+    return setup.cell, config.cells, config.estimator, of, setup.decoder.balancing is not None, config.health
 
 
 def _place(name: str, source: Path) -> Path:

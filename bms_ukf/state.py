@@ -1,27 +1,45 @@
-"""What outlives the process: the estimator's belief, stored while it runs and taken up at the next start."""
+"""What outlives the process: the estimator's belief and its cells' health, stored while it runs, taken up at the next start.
+
+Both are of one moment and one content of a slot: magic, length of the belief (uint32 little-endian), belief, health. A
+belief alone is stored as it is.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
+import struct
 import threading
 from pathlib import Path
 
 from bms_ukf import slots
 from bms_ukf.estimator import Estimator
+from bms_ukf.pack import Health
 from bms_ukf.records import Stored
 from bms_ukf.seldom import Seldom
 from bms_ukf.slots import Slot
 
 log = logging.getLogger(__name__)
 
+_HEAD = struct.Struct("<8sI")
+_MAGIC = b"BMSSTAT1"
 CLOSE_S = 0.7  # how long the last write may take: whoever stops the daemon waits for it
 
 
-def resume(estimator: Estimator, path: Path, now_ns: int, t_ns: int, max_age_s: float) -> tuple[Stored, str]:
+def content(estimator: Estimator, health: Health | None = None) -> bytes:
+    """What is to be stored of them."""
+    belief = estimator.snapshot()
+    return belief if health is None else _HEAD.pack(_MAGIC, len(belief)) + belief + health.snapshot()
+
+
+def resume(
+    estimator: Estimator, path: Path, now_ns: int, t_ns: int, max_age_s: float, health: Health | None = None
+) -> tuple[Stored, str]:
     """Give `estimator` the belief stored in `path`, aged to the wall time `now_ns`; its own time is `t_ns` then.
 
-    Returns what became of it and a line that says so. What is refused leaves the estimator as it was.
+    Returns what became of it and a line that says so. What is refused leaves the estimator as it was. `health` has what
+    was stored of it if it is that of these cells, whatever became of the belief: a capacity learnt over months does not
+    go stale. That it is refused is a line in the log.
     """
     try:
         found = slots.read(path)
@@ -31,8 +49,39 @@ def resume(estimator: Estimator, path: Path, now_ns: int, t_ns: int, max_age_s: 
         return Stored.UNREADABLE, f"{path}: not readable ({error.strerror})"
     if not found:
         return Stored.CORRUPT, f"{path}: damaged, or no state file"
-    stored, line = _wake(estimator, found[0], now_ns, t_ns, max_age_s)
+    slot, aged = _parts(found[0])
+    stored, line = _wake(estimator, slot, now_ns, t_ns, max_age_s)
+    if health is not None:
+        reason = _age(health, aged, max(now_ns - slot.wall_ns, 0) * 1e-9, t_ns, whole=stored is Stored.USED)
+        if reason is not None:
+            told = {"file": path, "reason": reason}
+            log.warning("state: %(file)s: the health stored is not used: %(reason)s", told)
     return stored, f"{path}: {line}"
+
+
+def _parts(slot: Slot) -> tuple[Slot, bytes | None]:
+    """The slot with the belief alone, and the health if there is one."""
+    if not slot.content.startswith(_MAGIC) or len(slot.content) < _HEAD.size:
+        return slot, None
+    end = _HEAD.size + _HEAD.unpack_from(slot.content)[1]
+    return slot._replace(content=slot.content[_HEAD.size : end]), slot.content[end:]
+
+
+def _age(health: Health, stored: bytes | None, off_s: float, t_ns: int, *, whole: bool) -> str | None:
+    """Give `health` what was stored; the belief beside it was used if it is `whole`. Returns why not, if not."""
+    reason = None
+    try:
+        if stored is not None:
+            health.restore(stored)
+    except ValueError as error:
+        stored, reason = None, str(error)
+    if stored is None:
+        health.adopt()
+        return reason
+    health.slept(off_s, t_ns)
+    if not whole:
+        health.lose()
+    return None
 
 
 def _wake(estimator: Estimator, slot: Slot, now_ns: int, t_ns: int, max_age_s: float) -> tuple[Stored, str]:

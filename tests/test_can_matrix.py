@@ -17,6 +17,7 @@ DATABASE = cantools.database.load_file(CAN / "bms.dbc", strict=True)
 MESSAGES: list[Message] = DATABASE.messages
 SIGNALS = {(message.name, signal.name): signal for message in MESSAGES for signal in message.signals}
 COUNTED = {"Nis", "WorstCell", "MinCell", "MaxCell", "DischargeCell", "ChargeCell", "SilentCells", "FirstSilentCell"}
+COUNTED |= {"CapacityCell", "CapacitySegments", "ResistanceCell", "HealthCell"}
 MEASURED = {key: s for key, s in SIGNALS.items() if s.unit or key[1] in COUNTED}
 NAMES = [message.name for message in MESSAGES]
 
@@ -164,6 +165,7 @@ def test_what_is_published_of_400_cells_is_a_small_share_of_a_500_kbit_bus() -> 
     a_second = {m.name: 1000 / (m.cycle_time or 0) for m in MESSAGES if m.senders == ["Bms"]}
     del a_second["StringBias"]  # of several strings only
     pages = {name: a_second.pop(name) * -(-400 // 3) for name in ("CellSoc", "CellSigma")}
+    pages["CellHealth"] = a_second.pop("CellHealth") * 400  # a frame a cell
     frames_per_s = sum(a_second.values()) + sum(pages.values())
     share = frames_per_s * 135 / 500_000
     assert share < 0.03

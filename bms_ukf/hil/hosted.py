@@ -85,10 +85,12 @@ class Hosted:
             pace=setup.pace,
             fd=config.bus.fd,
             pack=setup.pack_output(estimator),
+            health=setup.health(estimator),
         )
         if config.state is not None:
             age_s = config.state.max_age_s
-            stored, _ = state.resume(estimator, self.state, self._wall_ns(), self._daemon.now_ns(), age_s)
+            now_ns, health = self._daemon.now_ns(), self._daemon.health
+            stored, _ = state.resume(estimator, self.state, self._wall_ns(), now_ns, age_s, health)
             self._daemon.resumed(stored)
         self._store_at_ns = self._t_ns + round(1e9 * self._state_period_s)
 
@@ -108,7 +110,7 @@ class Hosted:
         """As the service does, but at the scenario's time and before anything else happens."""
         self._store_at_ns = self._t_ns + round(1e9 * self._state_period_s)
         if daemon.estimate.status in {Status.OK, Status.DEGRADED}:
-            slot = Slot(self._wall_ns(), daemon.estimator.snapshot())
+            slot = Slot(self._wall_ns(), state.content(daemon.estimator, daemon.health))
             slots.write(self.state, slot, self._before)
             self._before = slot
 

@@ -13,6 +13,7 @@ from bms_ukf.estimator import Estimator
 from bms_ukf.offline import ekf
 from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.offline.start import from_first_voltage
+from bms_ukf.pack import Health
 from bms_ukf.records import Status
 from bms_ukf.tuning import Tuning
 
@@ -30,17 +31,28 @@ def prepare(name: str, cell: CellParams, tuning: Tuning | None = None) -> Runner
 
 
 def srukf(cell: CellParams, tuning: Tuning) -> Runner:
-    """Ours. A recording's current is known over the whole of each interval, however long it is."""
+    """Ours, with the capacity of the cell file."""
 
     def run(signals: Signals, told: Told | None) -> Columns:
-        longest_s = float(signals.step_s.max(initial=0.0))
-        changes: dict[str, float] = {"current_timeout_s": max(tuning.current_timeout_s, 1.001 * longest_s)}
-        if told is not None:
-            changes |= {"initial_soc": told.soc, "initial_soc_sigma": told.sigma}
-        estimator = Estimator(cell, tuning=tuning.model_copy(update=changes))
+        estimator = _estimator(cell, tuning, signals, told)
         return estimator.replay(signals.t_ns, signals.current_A, signals.voltage_V, signals.temperature_degC)
 
     return run
+
+
+def followed(cell: CellParams, tuning: Tuning, signals: Signals, told: Told | None) -> tuple[Columns, Health]:
+    """Ours as the daemon has it: with `soh`, the capacity that use has told of, once it has. And all that it told."""
+    health = Health(_estimator(cell, tuning, signals, told))
+    return health.replay(signals.t_ns, signals.current_A, signals.voltage_V, signals.temperature_degC), health
+
+
+def _estimator(cell: CellParams, tuning: Tuning, signals: Signals, told: Told | None) -> Estimator:
+    """A recording's current is known over the whole of each interval, however long it is."""
+    longest_s = float(signals.step_s.max(initial=0.0))
+    changes: dict[str, float] = {"current_timeout_s": max(tuning.current_timeout_s, 1.001 * longest_s)}
+    if told is not None:
+        changes |= {"initial_soc": told.soc, "initial_soc_sigma": told.sigma}
+    return Estimator(cell, tuning=tuning.model_copy(update=changes))
 
 
 def extended(cell: CellParams, tuning: Tuning) -> Runner:

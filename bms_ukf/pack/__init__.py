@@ -3,6 +3,6 @@
 from bms_ukf.pack.health import Health
 from bms_ukf.pack.limits import Limits
 from bms_ukf.pack.pack import Pack
-from bms_ukf.pack.record import PackEstimate
+from bms_ukf.pack.record import Ageing, PackEstimate
 
-__all__ = ["Health", "Limits", "Pack", "PackEstimate"]
+__all__ = ["Ageing", "Health", "Limits", "Pack", "PackEstimate"]

@@ -154,7 +154,7 @@ class Counted:
         self.whole, self._t_ns = bool(whole), None
 
     def _begin(self, t_ns: int, idle: bool) -> bool:
-        """A first current, or one after too long without: unless it is at rest after a sleep, some has not been seen."""
+        """A first current, or one after too long without: some has not been seen, unless it slept and is at rest."""
         self.settle()
         waited_s, wait_ns = 0.0, LOOK_NS
         if self._woken_ns is not None and idle:

@@ -42,6 +42,7 @@ from bms_ukf.kernel.adapt import R0_SIGMA
 from bms_ukf.kernel.params import voltage_sigmas
 from bms_ukf.kernel.process import R0_SHAPE
 from bms_ukf.pack.counted import Counted
+from bms_ukf.pack.record import Ageing
 from bms_ukf.records import Estimate, Sample, Status
 
 Array = NDArray[np.float64]
@@ -102,6 +103,20 @@ class Health:
         sigma: Array = np.hypot(np.sqrt(self._variance), self._gain_sigma * self.capacity * (self.segments > 0))
         return sigma
 
+    def ageing(self) -> Ageing:
+        """What has been told, in a few numbers."""
+        told = Ageing()
+        capacity, resistance = self.told_capacity, self.told_resistance
+        if (known := np.isfinite(capacity)).any():
+            cell = told.capacity_cell = int(np.nanargmin(capacity))
+            told.capacity_min, told.capacity_mean = float(capacity[cell]), float(capacity[known].mean())
+            told.capacity_sigma, told.segments = float(self.capacity_sigma[cell]), int(self.segments[cell])
+        if (known := np.isfinite(resistance)).any():
+            cell = told.resistance_cell = int(np.nanargmax(resistance))
+            told.resistance_max, told.resistance_mean = float(resistance[cell]), float(resistance[known].mean())
+            told.resistance_sigma = float(self.resistance_sigma[cell])
+        return told
+
     def follow(self, sample: Sample, estimate: Estimate) -> None:
         """Take note of a step: `estimate` is what `sample` gave."""
         if self._counted.count(sample):
@@ -131,6 +146,10 @@ class Health:
         """`off_s` s have passed at rest, as `Estimator.sleep` lets them; the time is `t_ns` now."""
         self._counted.slept(off_s, t_ns)
         self._observed = False
+
+    def adopt(self) -> None:
+        """Take the capacities that the estimator has for what is known of them, as of cells seen for the first time."""
+        self.capacity = self.estimator.capacity_scale
 
     def lose(self) -> None:
         """What has flowed of late is not known: segments begin anew."""

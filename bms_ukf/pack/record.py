@@ -17,6 +17,24 @@ def _none() -> Array:
 
 
 @dataclass(slots=True)
+class Ageing:
+    """How the cells of an estimator have aged: multiples of the cell file's capacity and r0; NaN = not told yet.
+
+    Cells of which nothing has been told are left out of least, most and mean. Cells are counted from 0, -1 is none.
+    """
+
+    capacity_min: float = NAN
+    capacity_sigma: float = NAN  # one standard deviation, of that cell
+    capacity_mean: float = NAN
+    capacity_cell: int = -1  # the one with the least
+    segments: int = 0  # that have told of that cell
+    resistance_max: float = NAN
+    resistance_sigma: float = NAN
+    resistance_mean: float = NAN
+    resistance_cell: int = -1
+
+
+@dataclass(slots=True)
 class PackEstimate:
     """A pack after a sample; positive = discharge, NaN = not known, cells are counted from 0, and -1 is none of them.
 

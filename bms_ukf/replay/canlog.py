@@ -1,7 +1,7 @@
 """A CAN log through the daemon as `bms-ukf run` has it: one row for every set of frames it would have published.
 
-Of a pack a row holds what its frames do: mean SoC, largest sigma, prediction and NIS of the cell that fits worst. Its
-summary has the keys of `rerun`, with `steps_per_s` of the samples taken, and
+Of a pack a row holds what its frames do: mean SoC, largest sigma, prediction and NIS of the cell that fits worst. `soh` is
+that of the cell with the least capacity. Its summary has the keys of `rerun`, with `steps_per_s` of the samples taken, and
 
 | key | meaning |
 |---|---|
@@ -23,7 +23,9 @@ from bms_ukf.cell import CellParams
 from bms_ukf.config import Setup
 from bms_ukf.core import Core
 from bms_ukf.errors import ConfigError
-from bms_ukf.records import NAN, Detail, Estimate, Sample
+from bms_ukf.pack import Health
+from bms_ukf.records import NAN, Detail, Estimate, Sample, largest_known
+from bms_ukf.replay.ageing import ageing
 from bms_ukf.replay.logs import LogClock, frames
 from bms_ukf.replay.rows import Rows
 from bms_ukf.trace import Trace
@@ -35,7 +37,8 @@ def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Tra
     """Every set that would have been published, and the summary. `cell` takes the place of the configuration's."""
     setup = Setup.load(config, cell)
     estimator = setup.estimator()
-    core, clock, told = Core(estimator, setup.intake(), setup.pace), LogClock(), _Published()
+    health = setup.health(estimator)
+    core, clock, told = Core(estimator, setup.intake(), setup.pace, health), LogClock(), _Published(health)
     core.witness = told
     begin_s = time.perf_counter()
     log = frames(path, setup.decoder.ids(), fd=setup.config.bus.fd)
@@ -70,7 +73,7 @@ def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Tra
         "frames": asdict(setup.decoder.counters),
         "real_time_factor": duration_s / took_s,
     }
-    return trace, summary
+    return trace, summary | ageing(health)
 
 
 def _warnings(setup: Setup, clock: LogClock) -> list[str]:
@@ -85,8 +88,8 @@ def _warnings(setup: Setup, clock: LogClock) -> list[str]:
 class _Published:
     """A row for every set of frames."""
 
-    def __init__(self) -> None:
-        self.rows, self.samples = Rows(), 0
+    def __init__(self, health: Health | None) -> None:
+        self.rows, self.samples, self._health = Rows(), 0, health
 
     def stepped(self, sample: Sample, _: Estimate) -> None:
         self.samples += 1
@@ -96,4 +99,5 @@ class _Published:
         """A prediction is a row only if it is published."""
 
     def published(self, t_ns: int, estimate: Estimate, _: Detail) -> None:
-        self.rows.add(t_ns, estimate)
+        soh = NAN if self._health is None else -largest_known(-self._health.told_capacity)
+        self.rows.add(t_ns, estimate, soh)

@@ -7,7 +7,7 @@
 | `final_soc`, `soc_sigma_final` | at the last sample; null: none could be defended |
 | `warnings` | what was doubtful in the recording |
 
-With a reference SoC, also what `metrics.score` documents: errors in % SoC over all rows and under `after_600s`.
+To them come those of `replay.ageing`. With a reference SoC, also what `metrics.score` documents: errors in % SoC over all rows and under `after_600s`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ import numpy as np
 from bms_ukf import metrics
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
-from bms_ukf.offline.estimators import prepare
+from bms_ukf.offline.estimators import followed, prepare
 from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.offline.start import begins_at_rest
+from bms_ukf.pack import Health
 from bms_ukf.recordings import Recording, Sign, read, require_sign, resample
+from bms_ukf.replay.ageing import ageing
 from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
 
@@ -83,7 +85,11 @@ def rerun(
     run = prepare(options.estimator, cell, sensors)
     run(signals.rows(slice(0, 2)), told)  # compiles
     begin_s = time.perf_counter()
-    columns = run(signals, told)
+    health: Health | None = None
+    if options.estimator == "srukf":
+        columns, health = followed(cell, sensors, signals, told)
+    else:
+        columns = run(signals, told)
     took_s = time.perf_counter() - begin_s
     inputs = {
         "current_A": signals.current_A,
@@ -103,6 +109,7 @@ def rerun(
         "soc_sigma_final": _known(trace["soc_sigma"][-1]),
         "warnings": warnings,
     }
+    summary |= ageing(health)
     if np.isfinite(soc_ref).any():
         summary |= metrics.score(trace.t_s, trace["soc"], trace["soc_sigma"], soc_ref, options.soc_ref_sigma)
     return trace, summary

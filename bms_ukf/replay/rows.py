@@ -24,6 +24,7 @@ COLUMNS = (
     "innovation_V",
     "nis",
     "r0_ohm",
+    "soh",
 )
 
 
@@ -51,8 +52,8 @@ class Rows:
         if not math.isnan(temperature_degC):
             self._temperature_degC = temperature_degC
 
-    def add(self, t_ns: int, estimate: Estimate) -> None:
-        """A row."""
+    def add(self, t_ns: int, estimate: Estimate, soh: float = NAN) -> None:
+        """A row; `soh` is the capacity that has been told."""
         nis = estimate.nis
         worst = 0 if isinstance(nis, float) else int(np.argmax(np.nan_to_num(nis, nan=-1.0)))
         self._t_ns.append(t_ns)
@@ -70,6 +71,7 @@ class Rows:
                 _of_cell(worst, estimate.innovation_V),
                 _of_cell(worst, nis),
                 _of_cell(worst, estimate.r0_ohm),
+                soh,
             )
         )
 
