@@ -101,6 +101,7 @@ class Estimator(PerCell):
         self.t_ns: int | None = None
         self._heard_ns = None
         self._code = 0  # what the kernel said last
+        self.adjusted = 0
         self.accepted = 0  # samples that were not refused: what the alive counter on the bus follows
 
     def step(self, sample: Sample, out: Estimate | None = None) -> Estimate:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
+from bms_ukf.pack import Ageing
 from bms_ukf.records import Fault, Status, largest_known, mean_known
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class Exporter:
             ("current_bias_amperes", "What the current sensor shows too much", daemon.current_bias_A()),
         ):
             yield GaugeMetricFamily(f"bms_ukf_{name}", text, value)
+        if daemon.health is not None:
+            yield from self._aged(daemon.health.ageing())
         status = GaugeMetricFamily("bms_ukf_status", "1 for the present one", labels=["status"])
         for word in Status:
             status.add_metric([word.word], float(estimate.status is word))
@@ -70,3 +73,21 @@ class Exporter:
         yield events
         yield CounterMetricFamily("bms_ukf_answers", "Sets of frames sent", daemon.published)
         yield CounterMetricFamily("bms_ukf_samples_accepted", "By the estimator", daemon.estimator.accepted)
+
+    def _aged(self, told: Ageing) -> Iterator[Metric]:
+        from prometheus_client.core import GaugeMetricFamily
+
+        for name, text, value in (
+            (
+                "capacity_ratio",
+                "State of health: capacity over the cell file's, of the cell with least",
+                "capacity_min",
+            ),
+            ("capacity_mean_ratio", "The same, mean of the cells", "capacity_mean"),
+            ("capacity_sigma_ratio", "Standard deviation of the least", "capacity_sigma"),
+            ("capacity_segments", "Changes of SoC between rests that have told of it", "segments"),
+            ("resistance_ratio", "r0 over the cell file's, of the cell with most", "resistance_max"),
+            ("resistance_mean_ratio", "The same, mean of the cells", "resistance_mean"),
+            ("resistance_sigma_ratio", "Standard deviation of the most", "resistance_sigma"),
+        ):
+            yield GaugeMetricFamily(f"bms_ukf_{name}", text, getattr(told, value))

@@ -1,7 +1,8 @@
 """A flight recorder: the last minutes of what the estimator was given and said, written to a file on a fault.
 
-The file can be run again bit for bit (`bms-ukf replay FILE.flight`): it begins with a snapshot of the estimator. Its
-first line is JSON (`HEADER`); then come parts, oldest first, each a length (uint32), a snapshot, a length and entries:
+The file can be run again bit for bit (`bms-ukf replay FILE.flight`). Its first line is JSON (`HEADER`); then parts
+follow, oldest first, each a length (uint32), a snapshot of the estimator, a length and entries. A part ends, too, where
+a cell is given another capacity, which the snapshot of the next one has:
 
     kind (bits of KIND), t_ns · current_A, voltage_V, temperature_degC · mean SoC, largest sigma, status, faults,
     CRC-32 of all cells' SoC and sigma · for each array a count, the indices (uint16) and values (float64)
@@ -62,6 +63,7 @@ class Recorder:
         self._faults = Fault.NONE
         self._reason = Fault.NONE
         self._bleed_A = estimator.bleed_A
+        self._adjusted = estimator.adjusted
         self._due_ns: int | None = None
         self._not_before_ns: int | None = None
         self._begin()
@@ -113,11 +115,12 @@ class Recorder:
         )
         if self._part_until_ns is None:
             self._part_until_ns = t_ns + self._part_ns
-        elif t_ns >= self._part_until_ns:
+        elif t_ns >= self._part_until_ns or self._estimator.adjusted != self._adjusted:
             self._begin()
             self._part_until_ns = t_ns + self._part_ns
 
     def _begin(self) -> None:
+        self._adjusted = self._estimator.adjusted
         self._parts.append((self._estimator.snapshot(), bytearray()))
 
     def _write(self, data: bytes) -> None:

@@ -34,14 +34,8 @@ SELDOM = {
         "FirstSilentCell": ("silent_cell", 1.0),
     },
 }
-CELL_NUMBERS = {
-    "discharge_cell",
-    "charge_cell",
-    "silent_cell",
-    "capacity_cell",
-    "resistance_cell",
-    "cell",
-}  # from 0 inside, from 1 on the bus
+# From 0 inside, from 1 on the bus.
+CELL_NUMBERS = {"discharge_cell", "charge_cell", "silent_cell", "capacity_cell", "resistance_cell", "cell"}
 
 
 class PackEncoder:

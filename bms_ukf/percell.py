@@ -33,6 +33,7 @@ class PerCell:
         "_share_ns",
         "_state",
         "_strings",
+        "adjusted",
         "cells",
         "precision",
         "tuning",
@@ -41,6 +42,7 @@ class PerCell:
 
     cells: int
     t_ns: int | None  # of the last sample
+    adjusted: int  # how often capacities or resistances were set
     precision: Precision
     tuning: Tuning
     wiring: Wiring
@@ -61,6 +63,7 @@ class PerCell:
     @capacity_scale.setter
     def capacity_scale(self, scale: ArrayLike) -> None:
         beliefs.set_per_cell(self._state, layout.H_PER_CAPACITY, self.cells, 1 / _positive(scale))
+        self.adjusted += 1
 
     @property
     def resistance_scale(self) -> Array:
@@ -74,6 +77,7 @@ class PerCell:
     def resistance_scale(self, scale: ArrayLike) -> None:
         beliefs.set_per_cell(self._state, layout.H_RESISTANCE, self.cells, _positive(scale))
         self._state[:, self._form.cache] = np.nan  # the cached table row has the old one in it
+        self.adjusted += 1
 
     @property
     def bleed_A(self) -> Array:

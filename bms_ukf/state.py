@@ -1,4 +1,4 @@
-"""What outlives the process: the estimator's belief and its cells' health, stored while it runs, taken up at the next start.
+"""What outlives the process: the estimator's belief and its cells' health, stored while it runs, taken up at a start.
 
 Both are of one moment and one content of a slot: magic, length of the belief (uint32 little-endian), belief, health. A
 belief alone is stored as it is.

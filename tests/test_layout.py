@@ -40,7 +40,7 @@ MAY_IMPORT = {
     "recordings": {"errors", "recordings"},
     "manifest": {"cell", "errors", "toml"},
     "measured": {"manifest", "recordings"},
-    "offline": {"cell", "estimator", "offline", "recordings", "records", "tuning"},
+    "offline": {"cell", "estimator", "offline", "pack", "recordings", "records", "tuning"},
     "score": {"cell", "errors", "manifest", "measured", "metrics", "offline", "recordings", "score", "tuning"},
     "benchmark_entry": {"cell", "errors", "estimator", "records", "resources", "tuning"},
     "bpx": {"errors"},
@@ -90,13 +90,26 @@ MAY_IMPORT = {
     "monitor": CODEC | {"bus", "config", "errors", "metrics", "monitor", "records", "view"},
     "flight": {"estimator", "records"},
     "slots": set(),
-    "state": {"estimator", "records", "seldom", "slots"},
+    "state": {"estimator", "pack", "records", "seldom", "slots"},
     "notify": set(),
     "commissioning": {"cell", "records"},
-    "core": {"commissioning", "estimator", "intake", "pace", "publication", "records", "scan", "strings", "stuck"},
+    "core": {"commissioning", "estimator", "intake", "pace", "pack", "publication", "records", "scan", "strings", "stuck"},
     "pack_encoder": {"dbc", "frames", "pack", "records"},
     "pack_output": {"estimator", "frames", "pack", "pack_encoder", "records"},
-    "daemon": {"bus", "clock", "core", "encoder", "estimator", "intake", "pace", "pack_output", "records"},
+    "health_encoder": {"frames", "pack", "pack_encoder", "records"},
+    "daemon": {
+        "bus",
+        "clock",
+        "core",
+        "encoder",
+        "estimator",
+        "health_encoder",
+        "intake",
+        "pace",
+        "pack",
+        "pack_output",
+    }
+    | {"records"},
 } | dict.fromkeys(CODEC, CODEC | {"errors", "records", "resources"})
 # The only modules that may know of a library.
 KNOWN_TO = {

@@ -71,6 +71,7 @@ def panel(watch: Watch, title: str, now_ns: int) -> Panel:
         _history(watch),
         *([_pack(watch)] if "UsableSoc" in watch.values else []),
         _figures(watch),
+        *([_health(watch)] if "CapacityMin" in watch.values else []),
         *_cells(watch),
         *_strings(watch),
         _troubles(watch, silent_s),
@@ -166,6 +167,26 @@ def _pack(watch: Watch) -> Text:
         most = f"{_number(current, 'A', 0)}, {_number(power / 1000, 'kW', 1)}"
         pulses += Text.assemble(most, (f" (cell {_number(cell, '', 0)}){apart}", "dim"))
     return usable + pulses
+
+
+def _health(watch: Watch) -> Text:
+    """What the cells have become, with 95 % bands."""
+    told = Text(f"{'health':{LABEL}}", "dim")
+    for what, of, side, apart in (
+        ("Capacity", "CapacityMin", "mean", "   "),
+        ("Resistance", "ResistanceMax", "mean", ""),
+    ):
+        most, mean, cell = (watch.values.get(name, NAN) for name in (of, f"{what}Mean", f"{what}Cell"))
+        told += Text.assemble((f"{what.lower()} ", "dim"))
+        if math.isnan(most):
+            told += Text.assemble(("not told yet" + apart, "dim"))
+            continue
+        band = _number(SIGMAS_95 * watch.values.get(f"{what}Sigma", NAN), "%", 1)
+        told += Text.assemble(_number(most, "%", 1), (" ± ", "dim"), band)
+        if watch.cells > 1:
+            told += Text.assemble((f" (cell {cell:.0f}, {side} {mean:.1f})", "dim"))
+        told += apart
+    return told
 
 
 def _height(part: Text | Table) -> int:

@@ -19,8 +19,8 @@ from bms_ukf.encoder import HEALTH
 from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
-PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth")
-OF_PACKS = ("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma", "StringBias")
+PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth", "CapacityHealth", "ResistanceHealth")
+OF_PACKS = ("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma", "CellHealth", "StringBias")
 RATE_NS = 5_000_000_000  # rates are those of so long
 SILENT_NS = 1_500_000_000  # since the last frame of a message that comes once a second; of a slower one, as much more
 COLUMN_NS = 10_000_000_000  # of the history

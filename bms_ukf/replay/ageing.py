@@ -2,9 +2,9 @@
 
 | key | meaning |
 |---|---|
-| `soh`, `soh_sigma` | capacity as a share of the cell file's, of the cell that has least; null: nothing has told of it |
+| `soh`, `soh_sigma` | capacity as a share of the cell file's, of the cell with least; null: nothing has told of it |
 | `soh_segments` | between rests, that have told of that cell's |
-| `r0_scale`, `r0_scale_sigma` | r0 as a multiple of the cell file's, of the cell that has most; null: no steps have told of it |
+| `r0_scale`, `r0_scale_sigma` | r0 as a multiple of the cell file's, of the cell with most; null: not told |
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A CAN log through the daemon as `bms-ukf run` has it: one row for every set of frames it would have published.
 
-Of a pack a row holds what its frames do: mean SoC, largest sigma, prediction and NIS of the cell that fits worst. `soh` is
-that of the cell with the least capacity. Its summary has the keys of `rerun`, with `steps_per_s` of the samples taken, and
+Of a pack a row holds what its frames do: mean SoC, largest sigma, prediction and NIS of the cell that fits worst, `soh`
+of the one with the least capacity. Its summary has the keys of `rerun`, with `steps_per_s` of the samples taken, and
 
 | key | meaning |
 |---|---|

@@ -53,14 +53,14 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
     wiring = Wiring(head.get("sensor_of"), head.get("string_of"))
     estimator = Estimator(used, cells, Tuning.model_validate_json(head["tuning"]), head["precision"], wiring)
     sensors = cells if wiring.sensor_of is None else int(wiring.sensor_of.max()) + 1
-    snapshot, entries = _parts(body, _Counts(cells, sensors, wiring.strings))
+    snapshots, entries = _parts(body, _Counts(cells, sensors, wiring.strings))
     if cell is None:
-        estimator.restore(snapshot)
+        estimator.restore(snapshots[0])
     rows, estimate, apart = Rows(), estimator.coast(estimator.t_ns or entries[0].sample.t_ns), []
-    if cell is None:
-        estimator.restore(snapshot)
     begin_s = time.perf_counter()
     for number, (sample, coasted, told) in enumerate(entries, 1):
+        if cell is None and number - 1 in snapshots:
+            estimator.restore(snapshots[number - 1])
         if sample.bleed_A is not None:  # before a coasting, too, that somebody told it to the estimator before
             estimator.bleed_A = sample.bleed_A
         if coasted:
@@ -99,15 +99,15 @@ class _Counts(NamedTuple):
     strings: int
 
 
-def _parts(body: bytes, counts: _Counts) -> tuple[bytes, list[Entry]]:
-    """The oldest snapshot, and all entries since."""
+def _parts(body: bytes, counts: _Counts) -> tuple[dict[int, bytes], list[Entry]]:
+    """All entries, and the snapshots before those of these indices."""
     found: list[Entry] = []
     at = 0
-    oldest = b""
+    snapshots: dict[int, bytes] = {}
     while at < len(body):
         (length,) = LENGTH.unpack_from(body, at)
         at += LENGTH.size
-        oldest = oldest or body[at : at + length]
+        snapshots[len(found)] = body[at : at + length]
         at += length
         (length,) = LENGTH.unpack_from(body, at)
         at += LENGTH.size
@@ -117,7 +117,7 @@ def _parts(body: bytes, counts: _Counts) -> tuple[bytes, list[Entry]]:
         at += length
     if not found:
         raise ValueError("nothing in it")
-    return oldest, found
+    return snapshots, found
 
 
 def _entries(data: bytes, counts: _Counts) -> Iterator[Entry]:

@@ -7,7 +7,8 @@
 | `final_soc`, `soc_sigma_final` | at the last sample; null: none could be defended |
 | `warnings` | what was doubtful in the recording |
 
-To them come those of `replay.ageing`. With a reference SoC, also what `metrics.score` documents: errors in % SoC over all rows and under `after_600s`.
+To them come those of `replay.ageing`. With a reference SoC, also what `metrics.score` documents: errors in % SoC over
+all rows and under `after_600s`.
 """
 
 from __future__ import annotations
