@@ -69,6 +69,19 @@ def test_what_led_to_a_fault_and_what_followed_runs_again_bit_for_bit(tmp_path, 
     assert trace.t_ns[-1] >= fault_ns + AFTER_NS
 
 
+def test_a_capacity_that_was_written_back_while_it_flew_is_in_the_file_from_then_on(tmp_path):
+    """As `pack.Health` does between a step and what is recorded of it."""
+    flown = Flown(tmp_path)
+    flown.fly(1, 60)
+    sample = Sample(61 * SECOND_NS, 1.0, 3.7, 25.0)
+    flown.estimator.step(sample, out=flown.estimate)
+    flown.estimator.capacity_scale = 0.8
+    flown.recorder.stepped(sample, flown.estimate)
+    flown.fly(62, 10)
+    (tmp_path / "x.flight").write_bytes(flown.recorder.file(Fault.BUS))
+    assert flight.rerun(tmp_path / "x.flight")[1]["identical"] is True
+
+
 def test_what_balancing_takes_is_in_the_file_from_when_it_was_told(tmp_path):
     """By a sample or by hand, taken back, unknown, and told by a sample too old to be taken."""
     flown = Flown(tmp_path, 3)

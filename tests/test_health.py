@@ -9,7 +9,7 @@ import pytest
 import synthetic_cell
 from drives import steady, terminal
 
-from bms_ukf import CellParams, Estimator, Sample, Tuning
+from bms_ukf import Estimator, Sample, Tuning, Wiring
 from bms_ukf.pack import Health
 from bms_ukf.scaling import scaled
 
@@ -112,27 +112,116 @@ def test_what_is_no_health_of_these_cells_is_refused(pack, spoil):
     assert other.snapshot() == before
 
 
+def followed(health: Health, current: np.ndarray, voltage: np.ndarray, start: int = 0) -> None:
+    """One sample a second, of a single cell."""
+    out = None
+    for k, (i, volts) in enumerate(zip(current.tolist(), voltage.tolist(), strict=True), start):
+        sample = Sample(k * SECOND, i, volts, 25.0)
+        out = health.estimator.step(sample, out)
+        health.follow(sample, out)
+
+
+def slept_over(offset_A: float, rested: int = 2) -> Health:
+    """A cell of 0.9: a rest, down, so many seconds at rest, a night off, and a rest; `offset_A` is the sensor's."""
+    current = np.concatenate([REST, cycle(4.0)[len(REST) : -1]])
+    down = np.append(current[: np.flatnonzero(current > 0)[-1] + 1], np.zeros(rested))
+    soc, voltage = terminal(scaled(CELL, 0.9, 1.0), 0.95, down)
+    health = Health(Estimator(CELL))
+    followed(health, down + offset_A, voltage)
+    t_ns = len(down) * SECOND
+    health.restore(health.snapshot())
+    health.estimator.sleep(8 * 3600.0, t_ns)
+    health.slept(8 * 3600.0, t_ns)
+    followed(health, np.full(19, offset_A), np.full(19, float(CELL.ocv_V(soc[-1], 25.0))), len(down) + 1)
+    return health
+
+
 def test_a_night_switched_off_is_a_rest():
     """The voltage after it ends the segment that began with the rest before."""
-    current = np.concatenate([REST, cycle(4.0)[len(REST) : -1]])
-    down = np.append(current[: np.flatnonzero(current > 0)[-1] + 1], [0.0, 0.0])
-    aged: CellParams = scaled(CELL, 0.9, 1.0)
-    soc, voltage = terminal(aged, 0.95, down)
-    estimator = Estimator(CELL)
-    health, out = Health(estimator), None
-    for k, i in enumerate(down.tolist()):
-        sample = Sample(k * SECOND, i, float(voltage[k]), 25.0)
-        out = estimator.step(sample, out)
-        health.follow(sample, out)
-    assert health.segments[0] == 0
-    kept, t_ns = health.snapshot(), len(down) * SECOND
-    health.restore(kept)
-    estimator.sleep(8 * 3600.0, t_ns)
-    health.slept(8 * 3600.0, t_ns)
-    for k in range(1, 20):
-        sample = Sample(t_ns + k * SECOND, 0.0, float(CELL.ocv_V(soc[-1], 25.0)), 25.0)
-        out = estimator.step(sample, out)
-        health.follow(sample, out)
+    health = slept_over(0.0)
     assert health.segments[0] == 1
     assert health.capacity[0] == pytest.approx(0.9, abs=0.02)
-    assert math.isfinite(health.capacity_sigma[0])
+
+
+def test_what_the_sensor_shows_too_much_has_not_flowed_while_it_was_off():
+    """60 mA over a night of 8 h would be a tenth of the capacity."""
+    health = slept_over(0.06)
+    assert health.segments[0] == 1
+    assert health.capacity[0] == pytest.approx(0.9, abs=0.02)
+
+
+def test_a_process_that_dies_under_load_does_not_know_what_flowed_then():
+    assert slept_over(0.0, rested=0).segments[0] == 0
+
+
+def test_a_current_that_no_cell_can_have_is_not_counted():
+    current = np.concatenate([REST, np.full(3600, 2.0), REST])
+    _, voltage = terminal(CELL, 0.95, current)
+    current[3000] = 3e4
+    health = Health(Estimator(CELL))
+    followed(health, current, voltage)
+    assert health.segments[0] == 1
+    assert health.capacity[0] == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_balancing_takes_is_charge_of_that_cell():
+    """0.4 A from one of two cells, for an hour, told once; without it that cell would be of 1.2 times the capacity."""
+    current = np.concatenate([REST, np.full(3600, 2.0), REST])
+    bled = np.concatenate([REST, np.full(3600, 0.4), REST])
+    voltage = np.column_stack([terminal(CELL, 0.95, current)[1], terminal(CELL, 0.95, current + bled)[1]])
+    health, out = Health(Estimator(CELL, 2)), None
+    for k, i in enumerate(current.tolist()):
+        sample = Sample(k * SECOND, i, voltage[k], 25.0)
+        if k in {len(REST), len(REST) + 3600}:
+            sample.bleed_A = np.array([0.0, bled[k]])
+        out = health.estimator.step(sample, out)
+        health.follow(sample, out)
+    np.testing.assert_array_equal(health.segments, 1)
+    np.testing.assert_allclose(health.capacity, 1.0, atol=0.01)
+
+
+def test_cells_of_parallel_strings_are_told_by_the_current_of_their_own():
+    """2 A through one string, 3 A through the other one: by the other's current both cells would have aged or grown."""
+    current = np.concatenate([REST, np.full(3600, 2.0), REST])
+    voltage = np.column_stack([terminal(CELL, 0.95, through * current)[1] for through in (1.0, 1.5)])
+    health, out = Health(Estimator(CELL, 2, wiring=Wiring(string_of=[0, 1]))), None
+    for k, i in enumerate(current.tolist()):
+        sample = Sample(k * SECOND, math.nan, voltage[k], 25.0, string_current_A=np.array([i, 1.5 * i]))
+        out = health.estimator.step(sample, out)
+        health.follow(sample, out)
+    np.testing.assert_array_equal(health.segments, 1)
+    np.testing.assert_allclose(health.capacity, 1.0, atol=0.02)
+
+
+def test_cells_are_looked_at_once_a_minute_and_not_with_every_sample(monkeypatch):
+    """What a look costs grows with the cells, and a pack gives hundreds of samples a second."""
+    looks, look = [], Health._look
+    monkeypatch.setattr(Health, "_look", lambda health, estimate: (looks.append(1), look(health, estimate)))
+    health = Health(Estimator(CELL, 96))
+    estimate = health.estimator.coast(0)
+    for k in range(6000):
+        health.follow(Sample(k * SECOND // 10, 1.0), estimate)
+    assert len(looks) == 9
+
+
+def test_replay_tells_what_following_every_step_does_and_changes_no_soc_but_by_it():
+    current = np.concatenate([REST, cycle(4.0)[len(REST) :], REST])
+    _, voltage = terminal(scaled(CELL, 0.9, 1.0), 0.95, current)
+    stepped, replayed = Health(Estimator(CELL)), Health(Estimator(CELL))
+    followed(stepped, current, voltage)
+    rows = np.arange(len(current)) * SECOND, current, voltage, np.full(len(current), 25.0)
+    told = replayed.replay(*rows)
+    assert replayed.snapshot() == stepped.snapshot()
+    assert replayed.estimator.snapshot() == stepped.estimator.snapshot()
+    first = int(np.argmax(np.isfinite(told["soh"])))
+    assert 0 < first < len(current) - 1
+    assert told["soh"][-1] == stepped.capacity[0]
+    alone = Estimator(CELL).replay(*rows)
+    np.testing.assert_array_equal(told["soc"][: first - 60], alone["soc"][: first - 60])
+
+
+def test_nothing_told_is_not_a_whole_capacity():
+    told = Health(Estimator(CELL, 3)).ageing()
+    assert math.isnan(told.capacity_min)
+    assert math.isnan(told.resistance_max)
+    assert (told.capacity_cell, told.resistance_cell, told.segments) == (-1, -1, 0)

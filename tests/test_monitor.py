@@ -10,18 +10,20 @@ from collections.abc import Iterable
 import can
 import numpy as np
 import pytest
+from drives import CELL
 from rich.console import Console
 
-from bms_ukf import ConfigError, Estimate, Fault, Sample, Status
+from bms_ukf import ConfigError, Estimate, Estimator, Fault, Sample, Status
 from bms_ukf.bus import open_bus
 from bms_ukf.config import Bus
 from bms_ukf.decoder import Decoder
 from bms_ukf.encoder import HEALTH, Encoder
 from bms_ukf.frames import Frame
+from bms_ukf.health_encoder import HealthEncoder
 from bms_ukf.monitor import command, view
 from bms_ukf.monitor.watch import Protection, Watch
 from bms_ukf.node import SampleEncoder
-from bms_ukf.pack import PackEstimate
+from bms_ukf.pack import Health, PackEstimate
 from bms_ukf.pack_encoder import PackEncoder
 from bms_ukf.records import Detail, Source, Stored
 
@@ -93,6 +95,25 @@ def test_it_fits_the_terminal_with_any_number_of_cells_and_faults(cells, faults)
     assert max(map(len, lines)) <= 80
     assert "…" not in "".join(lines[:6])
     assert "PackMeasurement" in "".join(lines[-6:])
+
+
+@pytest.mark.parametrize("cells", [1, 96, 400])
+def test_health_is_shown_when_it_is_told_and_said_to_be_unknown_before(cells):
+    told, health = Told(cells), Health(Estimator(CELL, cells))
+    encoder = HealthEncoder(health)
+    told.take(encoder.encode(0, 1))
+    told.step(150, ALL)
+    assert "capacity not told yet   r0 not told yet" in told.shown()
+    health.capacity, health.segments = np.linspace(0.9, 1.0, cells), np.full(cells, 4)
+    health.resistance, health.told_s = np.linspace(1.2, 1.0, cells), np.full(cells, 60.0)
+    told.take(encoder.encode(2 * 10**9, 2))
+    lines = told.shown().splitlines()
+    (line,) = [line for line in lines if "health" in line]
+    assert "capacity 90.0 ± 19.6 %" in line
+    assert "r0 120.0 ± 39.2 %" in line
+    assert line.count("(cell 1)") == (2 if cells > 1 else 0)
+    assert len(lines) <= 23
+    assert max(map(len, lines)) <= 80
 
 
 def test_every_fault_source_and_status_has_words():

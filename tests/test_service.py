@@ -146,6 +146,37 @@ def test_what_was_known_when_it_stopped_is_known_when_it_starts(started, vehicle
     assert str(vehicle.told("BmsState")[-1]["StoredState"]) == "used"
 
 
+def test_what_was_learnt_of_the_cell_outlives_a_kill_and_agrees_with_the_belief(started, vehicle):
+    """Nothing is stored at a kill: what was in the file is what counts."""
+    first = started()
+    vehicle.drive(first, 10)
+    health = first.daemon.health
+    health.capacity = first.daemon.estimator.capacity_scale = [0.93]
+    health.segments[:] = 5
+    first.chores()
+    first._keeper.close()
+    first._keeper = None
+    health.capacity = first.daemon.estimator.capacity_scale = [0.5]
+    second = started()
+    assert second.daemon.publication.detail.stored is Stored.USED
+    assert second.daemon.health.told_capacity[0] == 0.93
+    assert second.daemon.estimator.capacity_scale[0] == pytest.approx(0.93)
+    vehicle.told("CapacityHealth")
+    vehicle.drive(second, 1)
+    (told,) = vehicle.told("CapacityHealth")
+    assert told["CapacityMin"] == pytest.approx(93.0, abs=0.026)
+    assert told["CapacitySegments"] == 5
+
+
+def test_without_health_nothing_is_told_of_it_and_the_state_is_kept(started, vehicle):
+    text = CONFIG.replace("format = 1", "format = 1\nhealth = false")
+    running = started(text)
+    vehicle.drive(running, 20)
+    assert vehicle.told("CapacityHealth") == []
+    running.close()
+    assert started(text).daemon.publication.detail.stored is Stored.USED
+
+
 def test_a_state_that_is_refused_is_told_on_the_bus_and_in_the_log(started, vehicle, tmp_path, caplog):
     (tmp_path / "state").write_bytes(b"nothing of ours")
     with caplog.at_level(logging.WARNING):
@@ -219,6 +250,7 @@ def reloaded(running: Service, tmp_path: Path, text: str) -> None:
 def test_another_pace_is_taken_up_without_losing_what_is_known_or_the_bus(started, vehicle, tmp_path):
     running = started()
     vehicle.drive(running, 20)
+    running.daemon.health.segments[:] = 3
     counter = vehicle.told("SocEstimate")[-1]["AliveCounter"]
     soc = running.daemon.estimate.soc
     reloaded(running, tmp_path, CONFIG.replace("silence_s = 5.0", "silence_s = 4.0\nsoc_slew_per_s = 0.5"))
@@ -229,6 +261,7 @@ def test_another_pace_is_taken_up_without_losing_what_is_known_or_the_bus(starte
     assert after["Soc"] == pytest.approx(100 * soc, abs=0.1)
     assert str(after["Status"]) == "ok", "no fault of counters that begin anew"
     assert len(vehicle.opened) == 1
+    assert running.daemon.health.segments[0] == 3, "what was learnt, too"
 
 
 def test_another_bus_is_opened_before_the_old_one_is_closed(started, vehicle, tmp_path):
@@ -248,6 +281,7 @@ def test_another_bus_is_opened_before_the_old_one_is_closed(started, vehicle, tm
         (CONFIG.replace("format = 1", "format = 1\ncells = 3"), "restart to change them"),
         (CONFIG + "[estimator]\ngate_sigmas = 4.0", "restart to change them"),
         (CONFIG + BALANCING, "restart to change them"),
+        (CONFIG.replace("format = 1", "format = 1\nhealth = false"), "restart to change them"),
         ("", "format"),
     ],
 )
@@ -301,6 +335,10 @@ def test_metrics_say_what_is_published_and_only_to_this_machine(started, vehicle
     assert told['bms_ukf_fault{fault="e2e"}'] == 0.0
     assert told['bms_ukf_received_frames_total{outcome="accepted"}'] == 60.0
     assert told["bms_ukf_answers_total"] == running.daemon.published
+    assert math.isnan(told["bms_ukf_capacity_ratio"])
+    running.daemon.health.segments[:] = 2
+    assert scraped(port)["bms_ukf_capacity_ratio"] == 1.0
+    assert scraped(port)["bms_ukf_capacity_segments"] == 2.0
     assert running._exporter._server.server_address[0] == "127.0.0.1"
 
 

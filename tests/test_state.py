@@ -12,10 +12,11 @@ from drives import CELL
 
 from bms_ukf import Estimator, Sample, Status, Tuning, slots
 from bms_ukf import state as state_module
+from bms_ukf.pack import Health
 from bms_ukf.records import Stored
 from bms_ukf.scaling import scaled
 from bms_ukf.slots import Slot
-from bms_ukf.state import Keeper, resume
+from bms_ukf.state import Keeper, content, resume
 
 NOW_NS = 1_800_000_000 * 10**9
 HOUR_NS = 3600 * 10**9
@@ -161,3 +162,71 @@ def test_a_pack_is_stored_whole(tmp_path):
     assert taken_up(back, path) is Stored.USED
     known, now = replace(pack.coast(300 * 10**9)), back.coast(10**9)
     np.testing.assert_allclose(now.soc, known.soc, atol=2e-3)
+
+
+def aged(estimator: Estimator) -> Health:
+    """Of a cell that has lost a tenth."""
+    health = Health(estimator)
+    health.capacity = estimator.capacity_scale = np.full(estimator.cells, 0.9)
+    health.segments[:] = 4
+    return health
+
+
+@pytest.fixture
+def stored_aged(tmp_path):
+    path, estimator = tmp_path / "state", driven()
+    slots.write(path, Slot(NOW_NS - HOUR_NS, content(estimator, aged(estimator))))
+    return path
+
+
+def test_health_outlives_the_process_and_agrees_with_the_belief(stored_aged):
+    back = Health(Estimator(CELL))
+    stored, _ = resume(back.estimator, stored_aged, NOW_NS, 7, MAX_AGE_S, back)
+    assert stored is Stored.USED
+    assert back.told_capacity[0] == pytest.approx(0.9)
+    assert back.estimator.capacity_scale[0] == pytest.approx(0.9)
+    assert back.estimator.coast(10**9).status is Status.DEGRADED
+
+
+def test_a_state_of_before_there_was_health_is_taken_up_for_its_belief(stored, caplog):
+    back = Health(Estimator(CELL))
+    told, _ = resume(back.estimator, stored, NOW_NS, 7, MAX_AGE_S, back)
+    assert told is Stored.USED
+    assert np.isnan(back.told_capacity[0])
+    assert caplog.messages == []
+
+
+@pytest.mark.parametrize("spoil", [lambda data: data[:-8], lambda data: data[:-1] + b"\x55", lambda data: data + b"X"])
+def test_a_health_that_is_damaged_costs_a_line_and_not_the_belief(tmp_path, caplog, spoil):
+    path, estimator = tmp_path / "state", driven()
+    slots.write(path, Slot(NOW_NS - HOUR_NS, spoil(content(estimator, aged(estimator)))))
+    back = Health(Estimator(CELL))
+    told, _ = resume(back.estimator, path, NOW_NS, 7, MAX_AGE_S, back)
+    assert told is Stored.USED
+    (line,) = caplog.messages
+    assert "the health stored is not used" in line
+    assert np.isnan(back.told_capacity[0])
+    assert back.capacity[0] == back.estimator.capacity_scale[0] == pytest.approx(0.9), "that of the belief"
+
+
+def test_what_months_have_told_does_not_go_stale_with_the_belief(stored_aged):
+    """Nor is it lost with a tuning that makes the belief another's."""
+    for estimator, now_ns, said in (
+        (Estimator(CELL), NOW_NS + 40 * 24 * HOUR_NS, Stored.STALE),
+        (Estimator(CELL, tuning=Tuning(gate_sigmas=4.0)), NOW_NS, Stored.FOREIGN),
+    ):
+        back = Health(estimator)
+        told, _ = resume(estimator, stored_aged, now_ns, 7, MAX_AGE_S, back)
+        assert told is said
+        assert back.told_capacity[0] == pytest.approx(0.9)
+        estimator.step(Sample(10**9, 0.0, 3.6, 25.0))
+        assert estimator.capacity_scale[0] == pytest.approx(0.9), "by which SoC is counted from the first voltage on"
+
+
+def test_health_of_another_cell_is_refused(stored_aged, caplog):
+    for other in (Estimator(scaled(CELL, 2.0)), Estimator(CELL, 2)):
+        back = Health(other)
+        told, _ = resume(other, stored_aged, NOW_NS, 7, MAX_AGE_S, back)
+        assert told is Stored.FOREIGN
+        assert np.isnan(back.told_capacity).all()
+        assert "or of another cell file" in caplog.messages[-1]

@@ -170,22 +170,18 @@ def _pack(watch: Watch) -> Text:
 
 
 def _health(watch: Watch) -> Text:
-    """What the cells have become, with 95 % bands."""
+    """What the cells have become, the worst of them with its 95 % band."""
     told = Text(f"{'health':{LABEL}}", "dim")
-    for what, of, side, apart in (
-        ("Capacity", "CapacityMin", "mean", "   "),
-        ("Resistance", "ResistanceMax", "mean", ""),
-    ):
-        most, mean, cell = (watch.values.get(name, NAN) for name in (of, f"{what}Mean", f"{what}Cell"))
-        told += Text.assemble((f"{what.lower()} ", "dim"))
-        if math.isnan(most):
-            told += Text.assemble(("not told yet" + apart, "dim"))
+    for label, of in (("capacity ", "CapacityMin"), ("   r0 ", "ResistanceMax")):
+        told.append(label, "dim")
+        worst, what = watch.values.get(of, NAN), of[:-3]
+        if math.isnan(worst):
+            told.append("not told yet", "dim")
             continue
-        band = _number(SIGMAS_95 * watch.values.get(f"{what}Sigma", NAN), "%", 1)
-        told += Text.assemble(_number(most, "%", 1), (" ± ", "dim"), band)
+        band = SIGMAS_95 * watch.values[f"{what}Sigma"]
+        told += Text.assemble(_number(worst, "", 1), (" ± ", "dim"), _number(band, "%", 1))
         if watch.cells > 1:
-            told += Text.assemble((f" (cell {cell:.0f}, {side} {mean:.1f})", "dim"))
-        told += apart
+            told.append(f" (cell {watch.values[f'{what}Cell']:.0f})", "dim")
     return told
 
 
