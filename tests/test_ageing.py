@@ -39,7 +39,8 @@ def test_a_replay_has_the_state_of_health_from_when_it_is_told(days, tmp_path, b
         writer.writerow(["time_s", "current_A", "voltage_V", "temperature_C"])
         writer.writerows([row[0] / 1e9, *row[1:]] for row in day.tolist())
     options = ("--cell", "lgm50_chen2020", "--current-positive", "discharge")
-    assert bms_ukf("replay", tmp_path / "day.csv", *options, "--out", tmp_path / "e.csv", "--json", tmp_path / "s.json")
+    written = ("--out", tmp_path / "e.csv", "--json", tmp_path / "s.json")
+    assert bms_ukf("replay", tmp_path / "day.csv", *options, *written).code == 0
     rows = list(csv.DictReader((tmp_path / "e.csv").read_text().splitlines()))
     summary = json.loads((tmp_path / "s.json").read_text())
     assert rows[0]["soh"] == ""
@@ -47,6 +48,8 @@ def test_a_replay_has_the_state_of_health_from_when_it_is_told(days, tmp_path, b
     assert summary["soh"] == pytest.approx(float(rows[-1]["soh"]))
     assert summary["soh_segments"] == 2
     assert 0 < summary["soh_sigma"] < 0.05
+    assert bms_ukf("replay", tmp_path / "day.csv", *options, "--no-health", "--json", tmp_path / "s.json").code == 0
+    assert json.loads((tmp_path / "s.json").read_text())["soh"] is None
     assert summary["r0_scale"] == pytest.approx(ageing.PLANTS["both"].resistance, rel=0.1)
 
 

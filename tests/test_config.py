@@ -176,6 +176,7 @@ def test_check_tells_what_every_role_is_read_from():
         "temperature",
         "contactor",
         "pack",
+        "capacity and resistance of each cell told from its use, kept with the state",
         f"state stored in {EXAMPLE.parent / 'bms-ukf.state'} every 10 s",
         f"on a fault the last 120 s to {EXAMPLE.parent / 'flights'}",
     ]

@@ -71,6 +71,7 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 @click.option("--temperature", "temperature_degC", type=float, help="For a recording without one, degC.")
 @click.option("--soc-ref-sigma", type=click.FloatRange(0, 0.5), default=0.0, help="Of the file's own reference.")
 @click.option("--estimator", type=click.Choice(["srukf", "ekf", "coulomb"]), default="srukf", show_default=True)
+@click.option("--health/--no-health", default=True, help="Tell capacity from use, and count SoC by it.  [--health]")
 @click.option("--out", type=PATH, help="Write the estimates here, as CSV.")
 @click.option("--json", "json_path", type=PATH, help="Write the summary here.")
 @click.option("--report", type=PATH, help="Write a page with plots here.")

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bms_ukf.metrics import SIGMAS_95
-from bms_ukf.monitor.watch import COLUMN_NS, COLUMNS, OF_PACKS, PUBLISHED, Protection, Track, Watch
+from bms_ukf.monitor.watch import COLUMN_NS, COLUMNS, OPTIONAL, PUBLISHED, Protection, Track, Watch
 from bms_ukf.records import NAN, Fault, Source, Stored
 from bms_ukf.view import BARS, STATUS_STYLE
 
@@ -171,7 +171,7 @@ def _pack(watch: Watch) -> Text:
 
 def _health(watch: Watch) -> Text:
     """What the cells have become, the worst of them with its 95 % band."""
-    told = Text(f"{'health':{LABEL}}", "dim")
+    told = Text.assemble((f"{'health':{LABEL}}", "dim"))
     for label, of in (("capacity ", "CapacityMin"), ("   r0 ", "ResistanceMax")):
         told.append(label, "dim")
         worst, what = watch.values.get(of, NAN), of[:-3]
@@ -261,9 +261,9 @@ def _messages(tracks: Iterable[Track], now_ns: int, rows: int) -> Table:
     table = Table.grid(padding=(0, 1))
     for width in (16, 7, 12, 16, 7, 12):
         table.add_column(width=width, no_wrap=True, justify="right" if width == 7 else "left")
-    found = [track for track in tracks if track.name not in OF_PACKS or track.state is not Protection.NONE]
+    found = [track for track in tracks if track.name not in OPTIONAL or track.state is not Protection.NONE]
     states = {track.name: track.seen(now_ns) for track in found}
-    found.sort(key=lambda track: (states[track.name] is Protection.OK, track.name in PUBLISHED + OF_PACKS))
+    found.sort(key=lambda track: (states[track.name] is Protection.OK, track.name in PUBLISHED + OPTIONAL))
     places = 2 * rows if len(found) <= 2 * rows else 2 * rows - 1
     shown: list[list[Text]] = []
     for track in found[:places]:

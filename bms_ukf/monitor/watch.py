@@ -19,8 +19,18 @@ from bms_ukf.encoder import HEALTH
 from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
-PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth", "CapacityHealth", "ResistanceHealth")
-OF_PACKS = ("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma", "CellHealth", "StringBias")
+PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth")
+# Sent of packs, or unless the configuration switches them off.
+OPTIONAL: tuple[str, ...] = (
+    "PackState",
+    "PackEnergy",
+    "PackCurrents",
+    "PackPowers",
+    "PackTimes",
+    "CellSoc",
+    "CellSigma",
+)
+OPTIONAL += ("CapacityHealth", "ResistanceHealth", "CellHealth", "StringBias")
 RATE_NS = 5_000_000_000  # rates are those of so long
 SILENT_NS = 1_500_000_000  # since the last frame of a message that comes once a second; of a slower one, as much more
 COLUMN_NS = 10_000_000_000  # of the history
@@ -107,7 +117,7 @@ class Watch:
         self._column_ns: int | None = None
         self._column: list[float] = []
         matrix = own_matrix()
-        for name in PUBLISHED + OF_PACKS:
+        for name in PUBLISHED + OPTIONAL:
             message = matrix.message(name)
             self._track(message, Inbox({message: self._reader(message)}))
         if vehicle is not None:

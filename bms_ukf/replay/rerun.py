@@ -56,6 +56,7 @@ class Options:
     initial_sigma: float | None = None
     soc_ref_sigma: float = 0.0
     estimator: str = "srukf"
+    health: bool = True  # of srukf; see `pack.Health`
 
 
 def load(path: Path, options: Options) -> Recording:
@@ -87,7 +88,7 @@ def rerun(
     run(signals.rows(slice(0, 2)), told)  # compiles
     begin_s = time.perf_counter()
     health: Health | None = None
-    if options.estimator == "srukf":
+    if options.estimator == "srukf" and options.health:
         columns, health = followed(cell, sensors, signals, told)
     else:
         columns = run(signals, told)

@@ -38,6 +38,8 @@ _PROVENANCE = (
     ("Plant", "plant", "{}"),
     ("Bus", "bus", "{}"),
     ("Sensor seed", "seed", "{}"),
+    ("Capacity told from use", "soh", "{:.1%} of the cell file's"),
+    ("r0 told from use", "r0_scale", "{:.1%} of the cell file's"),
     ("Length", "duration_s", "{:.0f} s"),
     ("Wall time", "wall_s", "{:.1f} s"),
     ("Speed", "realtime_factor", "{:.0f} times real time"),
@@ -71,7 +73,10 @@ def write_report(
             (name, _text(summary[key], factor, form), _text(summary["after_600s"][key], factor, form))
             for name, key, factor, form in figures
         ],
-        provenance=[(name, form.format(summary[key])) for name, key, form in _PROVENANCE if key in summary] + machine(),
+        provenance=[
+            (name, form.format(summary[key])) for name, key, form in _PROVENANCE if summary.get(key) is not None
+        ]
+        + machine(),
     )
 
 
