@@ -14,6 +14,7 @@ from bms_ukf.bus import SafeBus
 from bms_ukf.daemon import Daemon
 from bms_ukf.decoder import Decoder
 from bms_ukf.intake import Intake
+from bms_ukf.pack import Health
 from bms_ukf.socketcan import SocketCan
 
 
@@ -33,7 +34,8 @@ class OverSocket(SocketCan):
 def main() -> None:
     cells = int(sys.argv[2])
     bus = SafeBus(lambda: OverSocket(int(sys.argv[1])))
-    daemon = Daemon(bus, Estimator(CellParams.load("lgm50_chen2020"), cells), Intake(Decoder(cells=cells)))
+    estimator = Estimator(CellParams.load("lgm50_chen2020"), cells)
+    daemon = Daemon(bus, estimator, Intake(Decoder(cells=cells)), health=Health(estimator))
     bus.send((0x7FF, False, b"ready"), 0)
     daemon.run(threading.Event())
 
