@@ -9,7 +9,12 @@ import pytest
 import synthetic_cell
 from drives import steady, terminal
 
-from bms_ukf import Estimator, Sample, Tuning, Wiring
+from bms_ukf import Estimator, Fault, Sample, Tuning, Wiring
+from bms_ukf.core import Core
+from bms_ukf.decoder import Decoder
+from bms_ukf.intake import Intake
+from bms_ukf.node import SampleEncoder
+from bms_ukf.pace import Pace
 from bms_ukf.pack import Health
 from bms_ukf.scaling import scaled
 
@@ -225,3 +230,16 @@ def test_nothing_told_is_not_a_whole_capacity():
     assert math.isnan(told.capacity_min)
     assert math.isnan(told.resistance_max)
     assert (told.capacity_cell, told.resistance_cell, told.segments) == (-1, -1, 0)
+
+
+@pytest.mark.parametrize(("sign", "told"), [(1.0, 0.9), (-1.0, math.nan)])
+def test_the_daemon_tells_it_from_frames_and_not_while_the_sign_of_the_current_is_wrong(sign, told):
+    current = np.concatenate([REST, cycle(4.0)[len(REST) :], REST])
+    _, voltage = terminal(scaled(CELL, 0.9, 1.0), 0.95, current)
+    health, vehicle = Health(Estimator(CELL)), SampleEncoder()
+    core = Core(health.estimator, Intake(Decoder()), Pace(silence_s=math.inf), health)
+    for k, i in enumerate(current.tolist()):
+        for frame in vehicle.encode(Sample(0, sign * i, float(voltage[k]), 25.0)):
+            core.hear(*frame, k * SECOND)
+    np.testing.assert_allclose(health.told_capacity, told, atol=0.02)
+    assert (core.commissioning.fault is Fault.CURRENT_SIGN) == (sign < 0)
