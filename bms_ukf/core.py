@@ -27,6 +27,7 @@ from bms_ukf.stuck import Stuck
 FAULT_HOLD_NS = 1_000_000_000
 PATIENCE_NS = 100_000_000  # between two looks at what is due: how long a request to stop may wait
 Cells = NDArray[np.intp]
+_NONE = Fault.NONE  # with every frame: what an enumeration does, beyond being compared, takes as long as the filter's step
 _IMPLAUSIBLE = int(Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE)
 
 
@@ -125,12 +126,13 @@ class Core:
             self.publication.follow(sample, estimate, heard)
             return
         self.estimator.step(sample, out=estimate)
-        if health is not None and self.commissioning.fault is Fault.NONE:
+        if health is not None and self.commissioning.fault is _NONE:
             health.follow(sample, estimate)
         if witness is not None:
             witness.stepped(sample, estimate)
         self.publication.follow(sample, estimate, heard)
-        if not (int(estimate.faults) | int(self.stuck.fault)) & _IMPLAUSIBLE:
+        faults, stands = estimate.faults, self.stuck.fault
+        if (faults is _NONE and stands is _NONE) or not (int(faults) | int(stands)) & _IMPLAUSIBLE:
             self.commissioning.see(sample)
         self._stepped = True
 
