@@ -27,7 +27,7 @@ from bms_ukf.stuck import Stuck
 FAULT_HOLD_NS = 1_000_000_000
 PATIENCE_NS = 100_000_000  # between two looks at what is due: how long a request to stop may wait
 Cells = NDArray[np.intp]
-_NONE = Fault.NONE  # with every frame: what an enumeration does, beyond being compared, takes as long as the filter's step
+_NONE = Fault.NONE  # what an enumeration does, beyond being compared, takes as long as the step of the filter
 _IMPLAUSIBLE = int(Fault.CURRENT_IMPLAUSIBLE | Fault.VOLTAGE_IMPLAUSIBLE)
 
 
