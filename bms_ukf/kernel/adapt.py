@@ -58,16 +58,17 @@ def learn(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     """From the innovation of every lane that has one, between its comparison and its fusion."""
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
+    gate2, adapts = p[k.P_GATE2], p[k.P_ADAPT] > real(p, 0)
     for c in range(lanes):
         innovation, variance = y[W * k.Y_INNOVATION + c], y[W * k.Y_VARIANCE + c]
         since = clamp(y[W * k.Y_SINCE_HEARD + c], zero, real(p, STEP_MAX_S))
         age = clamp(w[W * k.H_VOLTAGE_AGE + c], zero, real(p, VOLTAGE_ERROR_S))
         crowded = y[W * k.Y_NOISE + c] * (one - age / real(p, VOLTAGE_ERROR_S))
         nis = innovation * innovation / (variance - crowded)
-        compared = (nis - nis == zero) & (w[W * k.H_FRESH + c] == zero) & (p[k.P_ADAPT] > zero)
-        excess = clamp(nis, zero, p[k.P_GATE2]) - one
+        compared = (nis - nis == zero) & (w[W * k.H_FRESH + c] == zero) & adapts
+        excess = clamp(nis, zero, gate2) - one
         scale = w[W * k.H_VOLTAGE_SCALE + c]
-        followed = scale + scale * excess * since / real(p, SCALE_S)
+        followed = scale + scale * excess * since * real(p, 1 / SCALE_S)
         w[W * k.H_VOLTAGE_SCALE + c] = clamp(followed, one, real(p, SCALE_MAX)) if compared else scale
     for c in range(lanes):
         follow_r0(p, w, y, m, c)
@@ -99,15 +100,15 @@ def follow_r0(p: Any, w: Any, y: Any, m: Any, c: int) -> None:
     before = before if goes_on else nan
     whole = (lasted >= real(p, R0_BLOCK_S)) | (goes_on & (since >= real(p, R0_ALONE_S)))
 
-    counted = count if count > zero else nan  # none: no current was of its voltage's moment
-    mean_V, mean_ohmic = total_V / counted, total_ohmic / counted
+    each = one / (count if count > zero else nan)  # none: no current was of its voltage's moment
+    mean_V, mean_ohmic = total_V * each, total_ohmic * each
     tell_r0(p, w, y, m, c, fused & whole & (w[W * k.H_FRESH + c] == zero), mean_V, mean_ohmic - before, lasted)
 
     # The next block's drift is counted from this one's mean. What a measurement leaves of its innovation is the share
     # of its noise in the variance.
     drift = drift - mean_V if whole & (mean_V - mean_V == zero) else drift
     before = mean_ohmic if whole else before
-    left = innovation * y[W * k.Y_NOISE + c] / y[W * k.Y_VARIANCE + c]
+    left = innovation * y[W * k.Y_NOISE + c] * y[W * k.Y_PER_VARIANCE + c]
     keep(w, W * k.H_RESIDUAL + c, fused, left)
     keep(w, W * k.H_DRIFT + c, fused, drift)
     keep(w, W * k.H_OHMIC + c, fused, before)
@@ -123,7 +124,7 @@ def tell_r0(p: Any, w: Any, y: Any, m: Any, c: int, whole: Any, change: Any, mov
     W = m.lanes
     error = y[W * (k.Y_DYN + k.D_ERROR) + c]
     r0, r0_var = w[W * k.H_R0_SCALE + c], w[W * k.H_R0_VAR + c]
-    r0_var += (real(p, R0_SIGMA * R0_SIGMA) - r0_var) * lasted / real(p, R0_TAU_S)
+    r0_var += (real(p, R0_SIGMA * R0_SIGMA) - r0_var) * lasted * real(p, 1 / R0_TAU_S)
     white = real(p, 2) * w[W * k.H_VOLTAGE_SCALE + c] * error * error * p[k.P_VAR_VOLTAGE]
     otherwise = real(p, R0_ELSE) * moved
     gain = r0_var * moved / (r0_var * moved * moved + white + otherwise * otherwise)

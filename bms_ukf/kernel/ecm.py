@@ -201,24 +201,30 @@ ASINH = (
     -0.013062012380898675,
     0.0073250596579582244,
 )
-ASINH_SCALE = 16
-ASINH_HALVINGS = 4  # bring |u| <= 127 into the fit's range
+ASINH_REACH = 0.35  # the fit's range of |v|
+ASINH_HALVINGS = 4  # bring |u| <= 127 there
 
 
 @inline
 def asinh(s: Any, u: Any) -> Any:
-    """asinh(u), to rounding up to |u| = 127 and to 1e-9 up to 1000, without a call.
-
-    With u = sinh(y): cosh(y/2) = sqrt((cosh(y) + 1) / 2) and sinh(y) = 2 sinh(y/2) cosh(y/2) bring sinh(y / 16).
-    """
-    half = real(s, 0.5)
-    cosh = math.sqrt(real(s, 1) + u * u)
-    scale = real(s, 1)
+    """asinh(u), to rounding up to |u| = 127 and to 1e-9 up to 1000, without a call."""
+    cosh, scale = math.sqrt(real(s, 1) + u * u), real(s, 1)
     for _ in range(ASINH_HALVINGS):
-        cosh = math.sqrt(half * cosh + half)
-        scale *= real(s, 2) * cosh
-    v = u / scale
+        cosh, scale = halve_asinh(s, cosh, scale)
+    return asinh_small(s, u / scale) * real(s, 2**ASINH_HALVINGS)
+
+
+@inline
+def halve_asinh(s: Any, cosh: Any, scale: Any) -> tuple[Any, Any]:
+    """Halve y of u = sinh(y): cosh(y) becomes cosh(y/2), and sinh(y) = 2 sinh(y/2) cosh(y/2) tells u's scale."""
+    cosh = math.sqrt(real(s, 0.5) * cosh + real(s, 0.5))
+    return cosh, scale * (real(s, 2) * cosh)
+
+
+@inline
+def asinh_small(s: Any, v: Any) -> Any:
+    """asinh(v) for |v| <= ASINH_REACH."""
     ratio = real(s, ASINH[-1])
     for k in range(len(ASINH) - 2, -1, -1):
         ratio = ratio * (v * v) + real(s, ASINH[k])
-    return real(s, ASINH_SCALE) * v * ratio
+    return v * ratio

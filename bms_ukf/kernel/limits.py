@@ -20,7 +20,7 @@ from bms_ukf.kernel.ecm import asinh, clamp, dynamics, fall, is_number, ocv
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import N_MAX, tri
 from bms_ukf.kernel.memory import real, vector
-from bms_ukf.kernel.process import beyond_shape
+from bms_ukf.kernel.ohmic import beyond_shape
 
 KNOTS = 40  # steps of SoC in which an end is looked for, from the end of the table inwards
 REFINEMENTS = 3  # of the step that holds it, by the false position

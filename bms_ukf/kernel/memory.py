@@ -21,6 +21,9 @@ from numba.extending import intrinsic
 
 from bms_ukf.kernel.jit import DISABLED
 
+CACHE_LINE = 64  # bytes
+OF_A_BLOCK = 256  # numbers: what one cell needs is less
+
 if DISABLED:
 
     def pointer(address: int, bits: int) -> Any:
@@ -63,6 +66,8 @@ else:
             dtype = context.get_value_type(pointer.dtype)
             with builder.goto_entry_block():  # in a loop it would otherwise grow the stack at every pass
                 array = builder.alloca(ir.ArrayType(dtype, length.literal_value))
+            if length.literal_value >= OF_A_BLOCK:
+                array.align = CACHE_LINE  # a machine vector that lies on two lines takes twice as long
             return builder.bitcast(array, dtype.as_pointer())
 
         return pointer(pointer, length), generate

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.ecm import FALL_SMALL, asinh, cache_dynamics, clamp, fall, fall_small, is_number
+from bms_ukf.kernel.ecm import FALL_SMALL, cache_dynamics, clamp, fall, fall_small, is_number
 from bms_ukf.kernel.inputs import UNKNOWN_TEMPERATURE
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import N_MAX
@@ -15,7 +15,6 @@ from bms_ukf.kernel.srukf import predict
 
 # Below this a noise factor is not distinguishable from zero, and zero ends in 0/0 (`srukf.triangularise`). V, SoC or A.
 TINY_ROOT = 1e-12
-R0_SHAPE = 0.1  # share of r0 by which a good fit may have it wrong
 RESOLVED = 1e-4  # of a variance: a float32 root moves by 1 part in 20 000, of which rounding is a part in 1000
 
 
@@ -23,8 +22,9 @@ RESOLVED = 1e-4  # of a variance: a float32 root moves by 1 part in 20 000, of w
 def soc_per_ampere(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
     """SoC per ampere of the known current in this step, 1/A."""
     W = m.lanes
-    ce = p[k.P_CE_CHARGE] if w[W * k.H_THROUGH + c] < real(p, 0) else real(p, 1)
-    return ce * y[W * k.Y_KNOWN + c] / p[k.P_CHARGE_COULOMB] * w[W * k.H_PER_CAPACITY + c]
+    ce, per_coulomb = p[k.P_CE_CHARGE], real(p, 1) / p[k.P_CHARGE_COULOMB]
+    ce = ce if w[W * k.H_THROUGH + c] < real(p, 0) else real(p, 1)
+    return ce * y[W * k.Y_KNOWN + c] * per_coulomb * w[W * k.H_PER_CAPACITY + c]
 
 
 @inline
@@ -38,7 +38,8 @@ def schedule(p: Any, s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None
     """Read every parameter at the mean SoC to come: from the record's cache while SoC and temperature stay near it."""
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
-    intervals = p[k.P_DYN + k.T_INTERVALS]
+    # Here as in other loops over lanes: a parameter read under a condition would be gathered for each lane.
+    intervals, initial = p[k.P_DYN + k.T_INTERVALS], p[k.P_INITIAL_SOC]
     stale = 0
     for c in range(lanes):
         alive = y[W * k.Y_ALIVE + c] > zero
@@ -50,7 +51,7 @@ def schedule(p: Any, s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None
             rise = w[W * k.H_CORE_RISE + c]
             T += rise if alive else zero
         sound = (soc - soc == zero) | (not alive)  # else the step will be refused: no index must come of it
-        soc = soc if alive & sound else p[k.P_INITIAL_SOC]
+        soc = soc if alive & sound else initial
         T = T if is_number(T) else real(p, UNKNOWN_TEMPERATURE)
         y[W * k.Y_SOC + c] = soc
         y[W * k.Y_T + c] = T
@@ -85,15 +86,18 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
         if m.core:
             y[W * (k.Y_FALL + m.n_v) + c] = dt / p[k.P_CORE_TAU]
     one_minus_exp(w, y, m, k.Y_FALL, m.n_v + m.core, lanes)
-    for c in range(lanes):
-        gap = y[W * k.Y_GAP + c]
-        for j in range(m.n_rc):
-            y[W * (k.Y_FADE + j) + c] = gap / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
-        if m.hysteresis:
-            rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
-            y[W * (k.Y_FADE + m.n_rc) + c] = rate * p[k.P_CURRENT_RANGE] * gap
     if gaps:
+        for c in range(lanes):
+            gap = y[W * k.Y_GAP + c]
+            for j in range(m.n_rc):
+                y[W * (k.Y_FADE + j) + c] = gap / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
+            if m.hysteresis:
+                rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
+                y[W * (k.Y_FADE + m.n_rc) + c] = rate * p[k.P_CURRENT_RANGE] * gap
         one_minus_exp(w, y, m, k.Y_FADE, m.n_v, lanes)
+    else:
+        for place in range(W * m.n_v):
+            y[W * k.Y_FADE + place] = real(p, 0)
 
 
 @inline
@@ -115,49 +119,10 @@ def one_minus_exp(w: Any, y: Any, m: Any, slot: int, count: int, lanes: int) -> 
 
 
 @inline
-def ohmic(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """The ohmic drop, its slope over the current and its uncertainty; with no current known, what one could make it."""
-    W = m.lanes
-    zero, one = real(p, 0), real(p, 1)
-    for c in range(lanes):
-        unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
-        i = w[W * k.H_THROUGH + c]
-        i = p[k.P_CURRENT_RANGE] if unknown else i
-        r0_discharge, r0_charge = y[W * (k.Y_DYN + k.D_R0) + c], y[W * (k.Y_DYN + k.D_R0_CHARGE) + c]
-        r0 = r0_charge if i < zero else r0_discharge
-        knee = y[W * (k.Y_DYN + k.D_KNEE) + c]
-        u = i / knee
-        scale = w[W * k.H_R0_SCALE + c]
-        scale = beyond_shape(p, scale if is_number(scale) else one)
-        ohmic = r0 * knee * asinh(p, u)
-        r0 *= scale
-        drop = ohmic * scale
-        y[W * k.Y_R0 + c] = r0
-        y[W * k.Y_OHMIC + c] = real(p, math.nan) if unknown else ohmic
-        y[W * k.Y_DROP + c] = zero if unknown else drop
-        y[W * k.Y_DROP_SIGMA + c] = drop if unknown else p[k.P_R0_REL] * y[W * (k.Y_DYN + k.D_ERROR) + c] * drop
-        if m.bias:
-            y[W * k.Y_DROP_SLOPE + c] = r0 / math.sqrt(one + u * u)
-
-
-@inline
-def beyond_shape(p: Any, scale: Any) -> Any:
-    """The multiple of the cell file's r0 to use, with a dead band: nothing of the first R0_SHAPE that steps ask for.
-
-    A cell file that has the fast resistance a little wrong has made up for it in the first RC pair; to correct the one
-    alone would make the sum wrong. What is tracked goes on until what is used explains the steps, so an aged cell's r0
-    is found as it is.
-    """
-    margin = real(p, R0_SHAPE)
-    away = scale - real(p, 1)
-    return scale - clamp(away, -margin, margin)
-
-
-@inline
 def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
     """Predict every lane's belief over dt > 0 under the current it holds; in a gap SoC is doubted instead."""
     W = m.lanes
-    bias_lost = fall(p, dt / p[k.P_BIAS_TAU])
+    bias_lost, most = fall(p, dt / p[k.P_BIAS_TAU]), p[k.P_SOC_SIGMA_MAX]
     for c in range(lanes):
         lost = vector(w, N_MAX)
         g = vector(w, N_MAX)
@@ -180,7 +145,7 @@ def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
             warm_core(p, w, y, m, c, dt)
         predict(w, c, m, lost, g, gain, q)
         sigma = w[W * m.root + c]
-        w[W * m.root + c] = p[k.P_SOC_SIGMA_MAX] if sigma > p[k.P_SOC_SIGMA_MAX] else sigma
+        w[W * m.root + c] = most if sigma > most else sigma
 
 
 @inline

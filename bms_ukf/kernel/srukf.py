@@ -32,6 +32,7 @@ from bms_ukf.kernel.layout import (
     Y_FUSE,
     Y_INNOVATION,
     Y_NOISE,
+    Y_PER_VARIANCE,
     Y_PREDICTED,
     Y_TRUST,
     Y_VARIANCE,
@@ -131,8 +132,9 @@ def reflect(root: Any, noise: Any, n: int, j: int, end: int) -> None:
     # Away from the pivot, so that nothing cancels; then the column's sign is flipped to keep the diagonal positive.
     pivot = root[n * j + j]
     sign = real(root, 1) if pivot >= real(root, 0) else real(root, -1)
-    inverse_norm = real(root, 1) / norm
-    inverse_away = real(root, 1) / (pivot + sign * norm)
+    away = pivot + sign * norm
+    inverse = real(root, 1) / (norm * away)  # divisions are what takes longest here
+    inverse_norm, inverse_away = inverse * away, inverse * norm
     for i in range(j + 1, n):
         dot = real(root, 0)
         for k in range(j, end):
@@ -181,6 +183,7 @@ def innovate(
     y[W * Y_PREDICTED + c] = z_pred
     y[W * Y_INNOVATION + c] = z - z_pred
     y[W * Y_VARIANCE + c] = variance
+    y[W * Y_PER_VARIANCE + c] = real(w, 1) / variance
     y[W * Y_ALPHA + c] = alpha
     y[W * Y_NOISE + c] = r
 
@@ -200,6 +203,7 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
         gain[j] = real(w, 0)
     fuse = y[W * Y_FUSE + c] == real(w, BY_SIGMA_POINTS)
     alpha = y[W * Y_ALPHA + c]
+    per_variance = real(w, 0)
     for step in range(n):
         j = n - 1 - step
         b = y[W * (Y_B + j) + c]
@@ -213,13 +217,13 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
             new = keep * old - take * gain[i]
             gain[i] += b * old
             w[here] = new if fuse else old
-        alpha = alpha_next
-    weight = y[W * Y_INNOVATION + c] / alpha
+        alpha, per_variance = alpha_next, keep * inverse
+    weight = y[W * Y_INNOVATION + c] * per_variance
     if m.bias:
         here = W * (m.root + tri(n - 1, n - 1)) + c
         refused = (real(w, 1) - y[W * Y_TRUST + c]) * gain[n - 1]
         old = w[here]
-        w[here] = math.sqrt(old * old + refused * refused / alpha) if fuse else old
+        w[here] = math.sqrt(old * old + refused * refused * per_variance) if fuse else old
         gain[n - 1] *= y[W * Y_TRUST + c]
     for j in range(n):
         increment = gain[j] * weight

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel import adapt, belief, bias, idle, inputs, process, voltage
+from bms_ukf.kernel import adapt, belief, bias, idle, inputs, ohmic, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
@@ -45,7 +45,7 @@ def step(
     inputs.take(p, w, y, io, first, rows, m, lanes, dt, current)
     gaps = inputs.share(p, w, y, m, lanes, dt)
     process.schedule(p, s, o, w, y, m, lanes)
-    process.ohmic(p, w, y, m, lanes)
+    ohmic.drop(p, w, y, m, lanes)
     if dt > real(p, 0):  # another measurement of the same instant moves nothing
         process.relax(p, w, y, m, lanes, dt, gaps)
         process.advance(p, w, y, m, lanes, dt)
@@ -76,7 +76,7 @@ def predict(p: Any, s: Any, w: Any, y: Any, m: Any, dt: Any, current: Any, tempe
     w[k.H_VOLTAGE_AGE] += dt
     y[k.Y_KNOWN] = dt
     process.schedule(p, s, 0, w, y, m, 1)
-    process.ohmic(p, w, y, m, 1)
+    ohmic.drop(p, w, y, m, 1)
     process.relax(p, w, y, m, 1, dt, 0)
     process.advance(p, w, y, m, 1, dt)
     y[k.Y_INNOVATION] = real(p, math.nan)  # that of another belief
@@ -162,13 +162,13 @@ def judge(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     """Keep beliefs within their bounds and give each lane its status."""
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
-    slack, beyond = real(p, SOC_SLACK), real(p, SOC_BEYOND)
+    slack, beyond, least = real(p, SOC_SLACK), real(p, SOC_BEYOND), p[k.P_SOC_SIGMA_MIN]
     for c in range(lanes):
         alive = y[W * k.Y_ALIVE + c] > zero
         soc = w[W * (m.x + k.SOC) + c]
         w[W * (m.x + k.SOC) + c] = clamp(soc, -beyond, one + beyond)
         sigma = w[W * m.root + c]
-        w[W * m.root + c] = p[k.P_SOC_SIGMA_MIN] if sigma < p[k.P_SOC_SIGMA_MIN] else sigma
+        w[W * m.root + c] = least if sigma < least else sigma
         T = w[W * k.H_TEMPERATURE + c]
         within = (p[k.P_TABLE_TEMPERATURE_MIN] <= T) & (p[k.P_TABLE_TEMPERATURE_MAX] >= T)
         within = within & (-slack <= soc) & (soc <= one + slack)
@@ -194,7 +194,8 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
         y[W * k.Y_PREDICTED + c] = predicted if compared else nan
         y[W * k.Y_INNOVATION + c] = innovation if compared else nan
         y[W * k.Y_VARIANCE + c] = variance if compared else nan
-        y[W * k.Y_NIS + c] = innovation * innovation / variance if compared else nan
+        nis = innovation * innovation * y[W * k.Y_PER_VARIANCE + c]
+        y[W * k.Y_NIS + c] = nis if compared else nan
         y[W * k.Y_BIAS + c] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
         r0 = y[W * k.Y_R0 + c]
         y[W * k.Y_R0 + c] = r0 if y[W * k.Y_ALIVE + c] > zero else nan

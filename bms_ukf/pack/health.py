@@ -39,8 +39,8 @@ from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
 from bms_ukf.kernel import layout
 from bms_ukf.kernel.adapt import R0_SIGMA
+from bms_ukf.kernel.ohmic import R0_SHAPE
 from bms_ukf.kernel.params import voltage_sigmas
-from bms_ukf.kernel.process import R0_SHAPE
 from bms_ukf.pack.counted import Counted
 from bms_ukf.pack.record import Ageing
 from bms_ukf.records import Estimate, Sample, Status

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf import CellParams, Fault, Status, Tuning
-from bms_ukf.kernel import adapt, ecm, inputs, layout, process
+from bms_ukf.kernel import adapt, ecm, inputs, layout, ohmic, process
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.params import aligned, params
 
@@ -31,9 +31,10 @@ def layout_header() -> str:
     for module, names in (
         (layout, ("LANES", "IO_ROWS", "OCV_COEFFICIENTS")),
         (ecm, ("FALL_SMALL", "FALL_TERMS", "FALL_DOUBLINGS", "FALL_HALF", "FALL_LARGEST")),
-        (ecm, ("ASINH_SCALE", "ASINH_HALVINGS")),
+        (ecm, ("ASINH_REACH", "ASINH_HALVINGS")),
         (inputs, ("UNKNOWN_TEMPERATURE",)),
-        (process, ("TINY_ROOT", "R0_SHAPE")),
+        (process, ("TINY_ROOT",)),
+        (ohmic, ("R0_SHAPE",)),
         (adapt, ("SCALE_S", "SCALE_MAX", "STEP_MAX_S", "R0_SIGMA", "R0_TAU_S", "R0_STEP_S", "R0_CURRENT_S")),
         (adapt, ("R0_ELSE", "R0_LEAST", "R0_MOST", "R0_BLOCK_S", "R0_ALONE_S", "VOLTAGE_ERROR_S")),
         (policy, ("STATUS_SHIFT", "SOC_SLACK", "SOC_BEYOND")),

@@ -505,20 +505,38 @@ INLINE real fall_large(real x)
     return r;
 }
 
-/* As libm's, which has no lanes: halve the argument, as of a hyperbolic sine, until a polynomial serves. */
-INLINE real asinh_lane(real u)
+/* asinh of |v| <= ASINH_REACH. */
+INLINE real asinh_small(real v)
 {
     static const double terms[] = ASINH;
     const int count = sizeof terms / sizeof *terms;
-    real cosh = sqrt(1 + u * u), scale = 1, ratio = R(terms[count - 1]);
-    UNROLL for (int k = 0; k < ASINH_HALVINGS; k++) {
-        cosh = sqrt(cosh / 2 + R(0.5));
-        scale *= 2 * cosh;
-    }
-    const real v = u / scale;
+    real ratio = R(terms[count - 1]);
     UNROLL for (int k = count - 2; k >= 0; k--)
         ratio = ratio * (v * v) + R(terms[k]);
-    return ASINH_SCALE * v * ratio;
+    return v * ratio;
+}
+
+/* As libm's, which has no lanes: the block's largest |u| decides how often each is halved, as of a hyperbolic sine. */
+static void asinh_lanes(real u[LANES])
+{
+    real cosh[LANES], scale[LANES], times = 1;
+    whole large = 0;
+    EACH_LANE {
+        scale[c] = 1;
+        large |= fabs(u[c]) > R(ASINH_REACH) ? 1 : 0;
+    }
+    if (large)
+        EACH_LANE cosh[c] = sqrt(1 + u[c] * u[c]);
+    for (int k = 0; k < ASINH_HALVINGS && large; k++) {
+        large = 0;
+        times *= 2;
+        EACH_LANE {
+            cosh[c] = sqrt(cosh[c] / 2 + R(0.5));
+            scale[c] *= 2 * cosh[c];
+            large |= fabs(u[c]) > R(ASINH_REACH) * scale[c] ? 1 : 0;
+        }
+    }
+    EACH_LANE u[c] = times * asinh_small(u[c] / scale[c]);
 }
 
 INLINE struct belief load(const struct lanes *w, int c)
@@ -635,9 +653,12 @@ static void ohmic(const real *restrict p, const struct lanes *restrict w, struct
     const real share = unknown ? 0 : 1, doubt = unknown ? 1 : p[P_R0_REL], uneven = unknown ? 0 : 1;
     const real own = !unknown & (y->current_age <= R(R0_CURRENT_S)) ? 0 : R(NAN);
     const real *r0 = y->dyn[i < 0 ? D_R0_CHARGE : D_R0], *knee = y->dyn[D_KNEE];
+    real u[LANES];
+    EACH_LANE u[c] = i / knee[c];
+    asinh_lanes(u);
     EACH_LANE {
         const real tracked = w->r0_scale[c], scale = tracked == tracked ? beyond_shape(tracked) : 1;
-        const real ohmic = r0[c] * knee[c] * asinh_lane(i / knee[c]), drop = scale * ohmic;
+        const real ohmic = r0[c] * knee[c] * u[c], drop = scale * ohmic;
         y->r0[c] = scale * r0[c];
         y->ohmic[c] = ohmic + own;
         y->drop[c] = share * drop;
