@@ -24,6 +24,7 @@ from numba import config
 from numba.core import compiler, event, typed_passes, types, untyped_passes
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
+from numba.core.lowering import Lower
 from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
 from numba.core.types.functions import BaseFunction
@@ -115,6 +116,39 @@ class _Inlined(CompilerBase):
         return [passes]
 
 
+class _WholeVectors(Lower):
+    """LLVM uses half of a 512-bit register, as early processors of that kind slow down for whole ones.
+
+    Those with avx512_vbmi2, from Ice Lake and Zen 4 on, hardly do.
+    """
+
+    def setup_function(self, fndesc: Any) -> None:
+        lower: Any = super()
+        lower.setup_function(fndesc)
+        if "+avx512vbmi2" in self.library.codegen.magic_tuple()[-1]:
+            set.add(self.function.attributes, '"prefer-vector-width"="512"')  # llvmlite knows only some names
+
+
+@_register_pass(mutates_CFG=True, analysis_only=False)
+class _ForLanes(NativeLowering):
+    """Lowers an entry, whose loops over lanes become vector instructions."""
+
+    _name = "bms_ukf_for_lanes"
+
+    @property
+    def lowering_class(self) -> Any:
+        return _WholeVectors
+
+
+class _Entry(CompilerBase):
+    def define_pipelines(self) -> list[Any]:
+        builder: Any = DefaultPassBuilder
+        passes = builder.define_nopython_pipeline(self.state)
+        passes.passes = [(_ForLanes if step is NativeLowering else step, why) for step, why in passes.passes]
+        passes.finalize()
+        return [passes]
+
+
 @contextlib.contextmanager
 def _operators_remembered() -> Iterator[None]:
     """What an operator makes of two numbers is asked thousands of times, and found among dozens of array operations."""
@@ -150,7 +184,7 @@ def entry(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
     What it returns is numba's wrapper of the compiled code itself, without the dispatcher's look-up of argument types:
     half the cost of a call. It converts any number to the type of the signature.
     """
-    compiled: Any = numba.njit(cache=True, **OPTIONS)(function)
+    compiled: Any = numba.njit(cache=True, pipeline_class=_Entry, **OPTIONS)(function)
     if DISABLED:
         return function
     # numba stamps a cached function with the size and time of its own file only, and wheels carry a fixed time: without
