@@ -151,7 +151,8 @@ INLINE void predict(const real *p, struct belief *b, const struct motion *m)
         real squares = root[j][j] * root[j][j];
         UNROLL for (int k = 0; k <= j; k++)
             squares += noise[j][k] * noise[j][k];
-        const real norm = sqrt(squares), away = 1 / (root[j][j] + norm), inverse = 1 / norm;
+        const real norm = sqrt(squares), both = 1 / (norm * (root[j][j] + norm));
+        const real inverse = both * (root[j][j] + norm), away = both * norm;
         UNROLL for (int i = j + 1; i < N; i++) {
             real dot = root[j][j] * root[i][j];
             UNROLL for (int k = 0; k <= j; k++)
@@ -167,7 +168,7 @@ INLINE void predict(const real *p, struct belief *b, const struct motion *m)
 }
 
 struct innovation {
-    real predicted, variance, alpha, b[N];
+    real predicted, variance, per_variance, alpha, b[N];
 };
 
 /* `g`: OCV at x[0] and at x[0] +- gamma root[0][0]; `r`: variance of the measurement. */
@@ -184,6 +185,7 @@ INLINE void innovate(const real *p, const struct belief *b, const real g[3], rea
         n->b[k] = sum;
         n->variance += sum * sum;
     }
+    n->per_variance = 1 / n->variance;
 }
 
 /* Variance of a reading, after `age` s; `error`: how much more the model errs here, `scale`: and of late. */
@@ -206,8 +208,8 @@ INLINE real crowding(real age, real r) { return r * (1 - clamp(age, 0, R(VOLTAGE
 
 /* From an innovation that has not moved the belief yet; `r`: the noise in its variance, `ohmic`: the drop by the cell
  * file's r0, NaN if the current is not of its moment, `r0`: as tracked. */
-INLINE void follow_r0(const real *p, struct adapted *a, real innovation, real variance, real r, bool fused, real since,
-                      real error, real ohmic, real r0)
+INLINE void follow_r0(const real *p, struct adapted *a, real innovation, real per_variance, real r, bool fused,
+                      real since, real error, real ohmic, real r0)
 {
     const real moved = innovation - a->residual;
     const bool goes_on = (moved - moved == 0) & (since <= R(R0_STEP_S)), counts = ohmic == ohmic;
@@ -216,17 +218,17 @@ INLINE void follow_r0(const real *p, struct adapted *a, real innovation, real va
     const real total_ohmic = (goes_on ? a->block_ohmic : 0) + (counts ? ohmic : 0);
     const real count = (goes_on ? a->block_count : 0) + (counts ? 1 : 0), lasted = goes_on ? a->block_s + since : 0;
     const bool whole = (lasted >= R(R0_BLOCK_S)) | (goes_on & (since >= R(R0_ALONE_S)));
-    const real mean = total / count, mean_ohmic = total_ohmic / count, change = mean_ohmic - before;
+    const real each = 1 / count, mean = total * each, mean_ohmic = total_ohmic * each, change = mean_ohmic - before;
 
     const bool due = fused & whole & (a->fresh == 0);
-    const real sigma = R(R0_SIGMA), var = a->r0_var + (sigma * sigma - a->r0_var) * lasted / R(R0_TAU_S);
+    const real sigma = R(R0_SIGMA), var = a->r0_var + (sigma * sigma - a->r0_var) * lasted * R(1 / R0_TAU_S);
     const real white = 2 * a->voltage_scale * error * error * p[P_VAR_VOLTAGE], otherwise = R(R0_ELSE) * change;
     const real gain = var * change / (var * change * change + white + otherwise * otherwise), step = gain * mean;
     const bool told = due & (fabs(change) > r0 * p[P_EXCITED]) & (p[P_ADAPT] > 0) & (step - step == 0);
     a->r0_var = due ? (told ? var - gain * change * var : var) : a->r0_var;
     a->r0_scale = told ? clamp(a->r0_scale - step, R(R0_LEAST), R(R0_MOST)) : a->r0_scale;
 
-    a->residual = fused ? innovation * r / variance : a->residual;
+    a->residual = fused ? innovation * r * per_variance : a->residual;
     a->drift = fused ? (whole & (mean == mean) ? drift - mean : drift) : a->drift;
     a->ohmic = fused ? (whole ? mean_ohmic : before) : a->ohmic;
     a->block_drift = fused ? (whole ? 0 : total) : a->block_drift;
@@ -235,15 +237,15 @@ INLINE void follow_r0(const real *p, struct adapted *a, real innovation, real va
     a->block_s = fused ? (whole ? 0 : lasted) : a->block_s;
 }
 
-INLINE void learn(const real *p, struct adapted *a, real innovation, real variance, real r, real crowded, bool fused,
-                  real since_heard, real error, real ohmic, real r0)
+INLINE void learn(const real *p, struct adapted *a, real innovation, real variance, real per_variance, real r,
+                  real crowded, bool fused, real since_heard, real error, real ohmic, real r0)
 {
     const real heard_s = since_heard == since_heard ? since_heard : 0, since = clamp(heard_s, 0, R(STEP_MAX_S));
     const real nis = innovation * innovation / (variance - crowded), scale = a->voltage_scale;
     const bool compared = (nis - nis == 0) & (a->fresh == 0) & (p[P_ADAPT] > 0);
-    const real followed = scale + scale * (clamp(nis, 0, p[P_GATE2]) - 1) * since / R(SCALE_S);
+    const real followed = scale + scale * (clamp(nis, 0, p[P_GATE2]) - 1) * since * R(1 / SCALE_S);
     a->voltage_scale = compared ? clamp(followed, 1, R(SCALE_MAX)) : scale;
-    follow_r0(p, a, innovation, variance, r, fused, heard_s, error, ohmic, r0);
+    follow_r0(p, a, innovation, per_variance, r, fused, heard_s, error, ohmic, r0);
     a->fresh = fused ? 0 : a->fresh;
 }
 
@@ -255,7 +257,7 @@ static void start_adapted(struct adapted *a)
 /* Carlson's update, from the last column to the first. */
 INLINE void update(struct belief *b, const struct innovation *n, real innovation)
 {
-    real gain[N] = {0}, alpha = n->alpha;
+    real gain[N] = {0}, alpha = n->alpha, per_variance = 0;
     UNROLL for (int j = N - 1; j >= 0; j--) {
         const real next = alpha + n->b[j] * n->b[j];
         const real inverse = 1 / sqrt(next * alpha), keep = alpha * inverse, take = n->b[j] * inverse;
@@ -265,8 +267,9 @@ INLINE void update(struct belief *b, const struct innovation *n, real innovation
             gain[i] += n->b[j] * old;
         }
         alpha = next;
+        per_variance = keep * inverse;
     }
-    const real weight = innovation / alpha;
+    const real weight = innovation * per_variance;
     UNROLL for (int j = 0; j < N; j++)
         add(b, j, gain[j] * weight);
 }
@@ -393,11 +396,12 @@ static int fuse(const real *p, struct cell *c, real voltage, real T, real error,
     c->voltage_pred = n.predicted;
     c->innovation = voltage - n.predicted;
     c->innovation_var = n.variance;
-    c->nis = c->innovation * c->innovation / n.variance;
+    c->nis = c->innovation * c->innovation * n.per_variance;
     if (!isfinite(c->innovation + n.variance))
         return FAULT_NUMERIC;
     const bool accepted = c->innovation * c->innovation <= p[P_GATE2] * n.variance;
-    learn(p, &c->adapted, c->innovation, n.variance, r, crowding(c->voltage_age, r), accepted, since_heard, error, ohmic, r0);
+    learn(p, &c->adapted, c->innovation, n.variance, n.per_variance, r, crowding(c->voltage_age, r), accepted,
+          since_heard, error, ohmic, r0);
     if (!accepted) {
         if (isnan(c->rejected_s))
             c->rejected_s = 0;
@@ -593,7 +597,7 @@ struct work {
     real voltage[LANES], T[LANES], soc[LANES];
     real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
     real r0[LANES], ohmic[LANES], drop[LANES], drop_sigma[LANES], since_heard[LANES], g[3][LANES];
-    real predicted[LANES], innovation[LANES], variance[LANES], r[LANES], crowded[LANES];
+    real predicted[LANES], innovation[LANES], variance[LANES], per_variance[LANES], r[LANES], crowded[LANES];
 };
 
 static void take_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y,
@@ -778,6 +782,7 @@ static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct 
         y->predicted[c] = compared ? n.predicted : R(NAN);
         y->innovation[c] = compared ? innovation : R(NAN);
         y->variance[c] = compared ? n.variance : R(NAN);
+        y->per_variance[c] = n.per_variance;
         y->r[c] = r;
         y->crowded[c] = crowding(age, r);
         y->fused[c] = fused ? 1 : 0;
@@ -788,8 +793,8 @@ static void learn_lanes(const real *restrict p, struct lanes *restrict w, const 
 {
     EACH_LANE {
         struct adapted a = load_adapted(w, c);
-        learn(p, &a, y->innovation[c], y->variance[c], y->r[c], y->crowded[c], y->fused[c] != 0,
-              y->since_heard[c], y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
+        learn(p, &a, y->innovation[c], y->variance[c], y->per_variance[c], y->r[c], y->crowded[c],
+              y->fused[c] != 0, y->since_heard[c], y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
         store_adapted(w, c, &a);
     }
 }
@@ -828,7 +833,7 @@ static void publish(const struct lanes *restrict s, const struct work *restrict 
         out[OUT_VOLTAGE_PRED * cells + c] = y->predicted[c];
         out[OUT_INNOVATION * cells + c] = y->innovation[c];
         out[OUT_INNOVATION_VAR * cells + c] = y->variance[c];
-        out[OUT_NIS * cells + c] = y->innovation[c] * y->innovation[c] / y->variance[c];
+        out[OUT_NIS * cells + c] = y->innovation[c] * y->innovation[c] * y->per_variance[c];
         out[OUT_AGE * cells + c] = s->voltage_age[c];
         out[OUT_R0 * cells + c] = y->alive[c] ? y->r0[c] : R(NAN);
         out[OUT_CODE * cells + c] = (real)y->code[c];

@@ -2,7 +2,8 @@
  *
  * Compile with -DBITS=64 or 32 (numbers) and -DHYSTERESIS=0 or 1 (a fourth state). `params` is the buffer that
  * bms_ukf.kernel.params.params makes; layout.h, its slots, is written from the Python at build time (c_kernel.py).
- * Left out: the quadrature update of a wide first belief, and the belief doubted after P_REJECT_S.
+ * Left out: the quadrature update of a wide first belief, the belief doubted after P_REJECT_S, a cell's own capacity,
+ * resistances, current and bleed, and the blocks that a part of an instant leaves as they are.
  */
 #ifndef KERNEL_H
 #define KERNEL_H
