@@ -13,7 +13,7 @@ from bms_ukf import CellParams, Tuning
 from bms_ukf.offline.estimators import followed
 from bms_ukf.offline.signals import Signals
 from bms_ukf.pack import Health
-from bms_ukf.pack import health as health_module
+from bms_ukf.pack import counted as counted_module
 from bms_ukf.recordings import read
 
 
@@ -76,7 +76,7 @@ def test_a_drive_of_a_real_cell_shows_no_ageing(third_party, cell, file):
 @pytest.mark.parametrize("temperature", ["25degC", "10degC", "n10degC"])
 def test_a_whole_discharge_of_a_real_cell_with_rests_shows_no_loss_of_capacity(third_party, temperature, monkeypatch):
     """The only recordings with rests between shares of the charge, of 20 minutes, which have to do here."""
-    monkeypatch.setattr(health_module, "REST_S", 1150.0)
+    monkeypatch.setattr(counted_module, "REST_S", 1150.0)
     health = recorded("panasonic_ncr18650pf", third_party / "panasonic_ncr18650pf" / f"{temperature}_HPPC.csv.gz")
     assert health.segments[0] >= 3
     assert health.capacity[0] == pytest.approx(1.0, abs=0.03)

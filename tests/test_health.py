@@ -16,6 +16,7 @@ from bms_ukf.intake import Intake
 from bms_ukf.node import SampleEncoder
 from bms_ukf.pace import Pace
 from bms_ukf.pack import Health
+from bms_ukf.pack.counted import REST_S
 from bms_ukf.scaling import scaled
 
 CELL = steady()
@@ -198,15 +199,43 @@ def test_cells_of_parallel_strings_are_told_by_the_current_of_their_own():
     np.testing.assert_allclose(health.capacity, 1.0, atol=0.02)
 
 
-def test_cells_are_looked_at_once_a_minute_and_not_with_every_sample(monkeypatch):
+def test_cells_are_looked_at_once_in_ten_minutes_and_not_with_every_sample(monkeypatch):
     """What a look costs grows with the cells, and a pack gives hundreds of samples a second."""
     looks, look = [], Health._look
     monkeypatch.setattr(Health, "_look", lambda health, estimate: (looks.append(1), look(health, estimate)))
     health = Health(Estimator(CELL, 96))
     estimate = health.estimator.coast(0)
-    for k in range(6000):
-        health.follow(Sample(k * SECOND // 10, 1.0), estimate)
-    assert len(looks) == 9
+    for k in range(6001):
+        health.follow(Sample(k * SECOND, 1.0), estimate)
+    assert len(looks) == 10
+
+
+def test_storing_what_is_known_every_ten_seconds_does_not_keep_it_from_being_told():
+    current = np.concatenate([REST, cycle(4.0)[len(REST) :], REST])
+    _, voltage = terminal(scaled(CELL, 0.9, 1.0), 0.95, current)
+    alone, stored = Health(Estimator(CELL)), Health(Estimator(CELL))
+    followed(alone, current, voltage)
+    for k in range(0, len(current), 10):
+        followed(stored, current[k : k + 10], voltage[k : k + 10], start=k)
+        stored.snapshot()
+    assert stored.segments[0] == alone.segments[0] > 0
+    assert stored.told_s[0] == pytest.approx(alone.told_s[0])
+    assert stored.capacity[0] == pytest.approx(alone.capacity[0], abs=1e-9)
+    assert stored.resistance[0] == pytest.approx(alone.resistance[0], abs=1e-9)
+
+
+def test_a_rest_that_is_hardly_long_enough_is_seen(monkeypatch):
+    """Whenever the looks before it were: half an hour between two loads."""
+    observed, observe = [], Health._observe
+    monkeypatch.setattr(Health, "_observe", lambda health, estimate: (observed.append(1), observe(health, estimate))[1])
+    for load_s in range(601, 1300, 97):
+        health = Health(Estimator(CELL))
+        rest = np.zeros(round(REST_S) + 2)
+        current = np.concatenate([np.ones(load_s), rest, np.ones(5)])
+        _, voltage = terminal(CELL, 0.95, current)
+        followed(health, current, voltage)
+        assert observed.pop()
+        assert not observed
 
 
 def test_replay_tells_what_following_every_step_does_and_changes_no_soc_but_by_it():

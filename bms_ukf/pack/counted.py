@@ -18,7 +18,8 @@ from bms_ukf.records import Sample
 Array = NDArray[np.float64]
 
 REST_C = 0.04  # what is no load, offset included, as a share of the capacity per hour
-LOOK_NS = 60_000_000_000  # between two looks at the cells: r0 as the filter has it holds for an hour
+REST_S = 1800.0  # so long without a load, and what is left of polarisation is what the cell file says it errs by
+LOOK_NS = 600_000_000_000  # between two looks at the cells: r0 as the filter has it holds for an hour
 WAKE_NS = 1_000_000_000  # the first one after a sleep: the voltages of a vehicle that is about to drive
 SHOWN_S = 60.0  # what a sensor showed at earlier rests counts for so long a time of the present one
 
@@ -43,6 +44,7 @@ class Counted:
         "_least_A",
         "_load_at_ns",
         "_load_ns",
+        "_loaded_s",
         "_longest_ns",
         "_most_A",
         "_string_of",
@@ -78,9 +80,10 @@ class Counted:
         self._flowed: float | Array = 0.0
         self._idle: float | Array = 0.0
         self._idle_ns = self._load_ns = self._bled_ns = 0
+        self._loaded_s = 0.0  # since the last look
 
     def count(self, sample: Sample) -> bool:
-        """Count what flowed up to a sample; whether it is time to settle and to look at the cells."""
+        """Count what flowed up to a sample; whether it is time to look at the cells."""
         if sample.bleed_A is not None:
             self._settle_bleed()
         current_A = sample.current_A if self._string_of is None else _largest(sample.string_current_A)
@@ -102,13 +105,52 @@ class Counted:
         self._flowed += (current_A if current_A > 0.0 else self._efficiency * current_A) * dt
         return t_ns >= self._due_ns
 
-    def settle(self) -> float:
-        """Bring the sums up to date. Returns how long there was a load since the last time, s."""
+    def count_rows(self, t_ns: NDArray[np.int64], current_A: Array) -> tuple[int, bool]:
+        """`count` for samples of one cell, at least one: how many were counted, and whether it is now time to look."""
+        rows = 1 if self._t_ns is None else int(np.searchsorted(t_ns, self._due_ns)) + 1
+        t_ns, current_A = t_ns[:rows], current_A[:rows]
+        known = (self._least_A <= current_A) & (current_A <= self._most_A)
+        told_ns, told_A = t_ns[known], current_A[known]
+        dt = np.diff(told_ns, prepend=told_ns[:1] if self._t_ns is None else self._t_ns)
+        if self._t_ns is None or (dt < 0).any() or (dt > self._longest_ns).any():
+            due = [self.count(Sample(t, i)) for t, i in zip(t_ns.tolist(), current_A.tolist(), strict=True)]
+            return len(due), due[-1]
+        if not told_ns.size:
+            return len(t_ns), False
+        idle = np.abs(told_A) <= self._idle_A
+        self._t_ns = int(told_ns[-1])
+        self._idle = _added(self._idle, told_A[idle] * dt[idle])
+        self._idle_ns += int(dt[idle].sum())
+        self._load_ns += int(dt[~idle].sum())
+        self._load_at_ns = int(told_ns[~idle].max(initial=self._load_at_ns))
+        self._flowed = _added(self._flowed, np.where(told_A > 0.0, told_A, self._efficiency * told_A) * dt)
+        return len(t_ns), bool(known[-1]) and self._t_ns >= self._due_ns
+
+    @property
+    def rested(self) -> bool:
+        """Whether the present rest is so long that a voltage tells SoC."""
+        return self.rest_s >= REST_S
+
+    def looked(self) -> float:
+        """Settle, as the cells are looked at now. Returns how long there was a load since the last time, s.
+
+        The next look is due before long, or when the present rest is long enough.
+        """
+        self.settle()
+        loaded_s, self._loaded_s = self._loaded_s, 0.0
+        left_s = REST_S - self.rest_s
+        wait_ns = min(LOOK_NS, math.ceil(1e9 * left_s)) if self.rest_s > 0.0 < left_s else LOOK_NS
+        self._due_ns = (self._t_ns or 0) + wait_ns
+        return loaded_s
+
+    def settle(self) -> None:
+        """Bring the sums up to date."""
         self._settle_bleed()
         idle_s, load_s = 1e-9 * self._idle_ns, 1e-9 * self._load_ns
         self.moved_As += np.multiply(1e-9, self._flowed)
         self.passed_s += idle_s + load_s
         self.counted_s += idle_s + load_s
+        self._loaded_s += load_s
         if load_s:
             self.rest_s = 1e-9 * ((self._t_ns or 0) - self._load_at_ns)
             self.shown_s = min(self.shown_s, SHOWN_S)
@@ -119,8 +161,6 @@ class Counted:
             self.shown_A += idle_s / self.shown_s * (np.divide(self._idle, self._idle_ns) - self.shown_A)
         self._flowed = self._idle = 0.0
         self._idle_ns = self._load_ns = self._bled_ns = 0
-        self._due_ns = (self._t_ns or 0) + LOOK_NS
-        return load_s
 
     def slept(self, off_s: float, t_ns: int) -> None:
         """`off_s` s have passed at rest, as `Estimator.sleep` lets them; the time is `t_ns` now."""
@@ -188,3 +228,8 @@ class Counted:
 def _largest(strings_A: Array | None) -> float:
     """The current of the string that has most; NaN unless all are known."""
     return math.nan if strings_A is None else float(strings_A[np.argmax(np.abs(strings_A))])
+
+
+def _added(total: float | Array, terms: Array) -> float:
+    """One after the other, as single samples are: the same to the last bit."""
+    return float(np.add.accumulate(np.append(total, terms))[-1])

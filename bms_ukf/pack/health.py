@@ -47,7 +47,6 @@ from bms_ukf.records import Estimate, Sample, Status
 
 Array = NDArray[np.float64]
 
-REST_S = 1800.0  # so long without a load, and what is left of polarisation is what the cell file says it errs by
 LEAST = 0.2  # change of SoC that tells of capacity
 OLD = 0.05  # a segment in whose time so much of the capacity may have flowed unseen begins anew
 GATE = 4.0  # sigmas: a segment farther off is no segment of this cell
@@ -127,13 +126,14 @@ class Health:
     ) -> dict[str, NDArray[np.generic]]:
         """`Estimator.replay`, followed: adds `soh`, the capacity of every row, NaN before anything has told of it."""
         inputs = [np.asarray(values) for values in (t_ns, current_A, voltage_V, temperature_degC)]
-        sample, parts, begin, rows = Sample(0), [], 0, len(inputs[0])
-        for k, (sample.t_ns, sample.current_A) in enumerate(zip(*(i.tolist() for i in inputs[:2]), strict=True), 1):
-            due = self._counted.count(sample)
-            if due or k == rows:
-                part = self.estimator.replay(*(values[begin:k] for values in inputs))
-                parts.append(part | {"soh": np.full(k - begin, self.told_capacity[0])})
-                begin = k
+        parts, begin, end, rows = [], 0, 0, len(inputs[0])
+        while end < rows:
+            more, due = self._counted.count_rows(*(values[end:] for values in inputs[:2]))
+            end += more
+            if due or end == rows:
+                part = self.estimator.replay(*(values[begin:end] for values in inputs))
+                parts.append(part | {"soh": np.full(end - begin, self.told_capacity[0])})
+                begin = end
             if due:
                 soc, sigma, age_s = (float(part[name][-1]) for name in ("soc", "soc_sigma", "age_s"))
                 status = Status(int(part["status"][-1]))
@@ -156,13 +156,13 @@ class Health:
         self._counted.whole = False
 
     def _look(self, estimate: Estimate) -> None:
-        load_s = self._counted.settle()
+        load_s = self._counted.looked()
         if load_s:
             self._learn_resistance(load_s)
         if not self._counted.whole:
             self._from[:] = math.nan
             self._counted.whole = True
-        if self._counted.rest_s < REST_S:
+        if not self._counted.rested:
             self._observed = False
         elif not self._observed and estimate.status in {Status.OK, Status.DEGRADED}:
             self._observed = self._observe(estimate)
