@@ -6,6 +6,7 @@ estimator would have to be another: what it knows of the battery would be lost.
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -50,6 +51,8 @@ def serve(path: Path, log_frames: Path | None = None) -> None:
     previous = {number: signal.signal(number, on_signal) for number in signals}
     try:
         service.start()
+        gc.collect()
+        gc.freeze()  # or a collection would look at all that numba has loaded: 0.15 s without an answer
         while True:
             service.daemon.run(stop, service.chores)
             stop.clear()
