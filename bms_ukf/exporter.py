@@ -77,12 +77,8 @@ class Exporter:
     def _aged(self, told: Ageing) -> Iterator[Metric]:
         from prometheus_client.core import GaugeMetricFamily
 
-        for name, text, value in (
-            (
-                "capacity_ratio",
-                "State of health: capacity over the cell file's, of the cell with least",
-                "capacity_min",
-            ),
+        for name, text, told_as in (
+            ("capacity_ratio", "Capacity over the cell file's, of the cell with least", "capacity_min"),
             ("capacity_mean_ratio", "The same, mean of the cells", "capacity_mean"),
             ("capacity_sigma_ratio", "Standard deviation of the least", "capacity_sigma"),
             ("capacity_segments", "Changes of SoC between rests that have told of it", "segments"),
@@ -90,4 +86,4 @@ class Exporter:
             ("resistance_mean_ratio", "The same, mean of the cells", "resistance_mean"),
             ("resistance_sigma_ratio", "Standard deviation of the most", "resistance_sigma"),
         ):
-            yield GaugeMetricFamily(f"bms_ukf_{name}", text, getattr(told, value))
+            yield GaugeMetricFamily(f"bms_ukf_{name}", text, getattr(told, told_as))

@@ -96,7 +96,7 @@ class Process:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
 
     def set_clock(self, offset_s: float) -> None:
-        raise NotImplementedError("see obstacle")
+        raise RuntimeError("the clock is the machine's, as `obstacle` says")
 
     def _listen(self, until_s: float) -> None:
         while True:

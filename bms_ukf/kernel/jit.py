@@ -15,7 +15,7 @@ import contextlib
 import functools
 import hashlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -106,14 +106,19 @@ _NEEDLESS: set[Any] = {
 }
 
 
+def _pipelines(state: Any, lowering: Any, needless: Container[Any] = ()) -> list[Any]:
+    """numba's own, with another lowering and without some passes."""
+    builder: Any = DefaultPassBuilder
+    passes = builder.define_nopython_pipeline(state)
+    steps = [(step, why) for step, why in passes.passes if step not in needless]
+    passes.passes = [(lowering if step is NativeLowering else step, why) for step, why in steps]
+    passes.finalize()
+    return [passes]
+
+
 class _Inlined(CompilerBase):
     def define_pipelines(self) -> list[Any]:
-        builder: Any = DefaultPassBuilder
-        passes = builder.define_nopython_pipeline(self.state)
-        steps = [(step, why) for step, why in passes.passes if step not in _NEEDLESS]
-        passes.passes = [(_Tidy if step is NativeLowering else step, why) for step, why in steps]
-        passes.finalize()
-        return [passes]
+        return _pipelines(self.state, _Tidy, _NEEDLESS)
 
 
 class _WholeVectors(Lower):
@@ -142,11 +147,7 @@ class _ForLanes(NativeLowering):
 
 class _Entry(CompilerBase):
     def define_pipelines(self) -> list[Any]:
-        builder: Any = DefaultPassBuilder
-        passes = builder.define_nopython_pipeline(self.state)
-        passes.passes = [(_ForLanes if step is NativeLowering else step, why) for step, why in passes.passes]
-        passes.finalize()
-        return [passes]
+        return _pipelines(self.state, _ForLanes)
 
 
 @contextlib.contextmanager

@@ -77,27 +77,28 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
     """What each voltage, and the core's temperature, lose of their distance to where they go: 1 - exp(-time / tau)."""
     W = m.lanes
     for c in range(lanes):
-        known = y[W * k.Y_KNOWN + c]
-        for j in range(m.n_rc):
-            y[W * (k.Y_FALL + j) + c] = known / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
-        if m.hysteresis:
-            rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
-            y[W * (k.Y_FALL + m.n_rc) + c] = rate * abs(w[W * k.H_THROUGH + c]) * known
+        in_taus(p, w, y, m, c, k.Y_FALL, y[W * k.Y_KNOWN + c], abs(w[W * k.H_THROUGH + c]))
         if m.core:
             y[W * (k.Y_FALL + m.n_v) + c] = dt / p[k.P_CORE_TAU]
     one_minus_exp(w, y, m, k.Y_FALL, m.n_v + m.core, lanes)
     if gaps:
         for c in range(lanes):
-            gap = y[W * k.Y_GAP + c]
-            for j in range(m.n_rc):
-                y[W * (k.Y_FADE + j) + c] = gap / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
-            if m.hysteresis:
-                rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
-                y[W * (k.Y_FADE + m.n_rc) + c] = rate * p[k.P_CURRENT_RANGE] * gap
+            in_taus(p, w, y, m, c, k.Y_FADE, y[W * k.Y_GAP + c], p[k.P_CURRENT_RANGE])
         one_minus_exp(w, y, m, k.Y_FADE, m.n_v, lanes)
     else:
         for place in range(W * m.n_v):
             y[W * k.Y_FADE + place] = real(p, 0)
+
+
+@inline
+def in_taus(p: Any, w: Any, y: Any, m: Any, c: int, slot: int, time: Any, current: Any) -> None:
+    """A time in the time constants of each voltage, from `slot` on; that of hysteresis is one of charge, either way."""
+    W = m.lanes
+    for j in range(m.n_rc):
+        y[W * (slot + j) + c] = time / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
+    if m.hysteresis:
+        rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
+        y[W * (slot + m.n_rc) + c] = rate * current * time
 
 
 @inline

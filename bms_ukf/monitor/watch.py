@@ -21,16 +21,10 @@ from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
 PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth")
 # Sent of packs, or unless the configuration switches them off.
-OPTIONAL: tuple[str, ...] = (
-    "PackState",
-    "PackEnergy",
-    "PackCurrents",
-    "PackPowers",
-    "PackTimes",
-    "CellSoc",
-    "CellSigma",
+OPTIONAL = (
+    *("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma"),
+    *("CapacityHealth", "ResistanceHealth", "CellHealth", "StringBias"),
 )
-OPTIONAL += ("CapacityHealth", "ResistanceHealth", "CellHealth", "StringBias")
 RATE_NS = 5_000_000_000  # rates are those of so long
 SILENT_NS = 1_500_000_000  # since the last frame of a message that comes once a second; of a slower one, as much more
 COLUMN_NS = 10_000_000_000  # of the history
