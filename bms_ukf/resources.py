@@ -15,11 +15,12 @@ _FOLDERS = {
     "plants": _CHECKOUT / "models" / "plants",
     "scenarios": _CHECKOUT / "models" / "scenarios",
     "loads": _CHECKOUT / "models" / "loads",
+    "campaign": _CHECKOUT / "models" / "campaign",
 }
 
 
 def folder(kind: str) -> Path:
-    """The folder of one kind of data: `can`, `cells`, `plants`, `scenarios` or `loads`."""
+    """The folder of one kind of data: `can`, `cells`, `plants`, `scenarios`, `loads` or `campaign`."""
     packaged = _PACKAGED / kind
     return packaged if packaged.is_dir() else _FOLDERS[kind]
 
