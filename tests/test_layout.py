@@ -38,6 +38,7 @@ MAY_IMPORT = {
     "firmware": {"__version__", "cell", "errors", "firmware", "kernel", "records", "tuning"},
     "filter": {"cell", "kernel", "records", "tuning"},
     "recordings": {"errors", "recordings"},
+    "honesty": set(),
     "manifest": {"cell", "errors", "toml"},
     "measured": {"manifest", "recordings"},
     "offline": {"cell", "estimator", "offline", "pack", "recordings", "records", "tuning"},
