@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import click
 
-from bms_ukf.cli import bus, export, offline  # noqa: F401 - their commands join the group
+from bms_ukf.cli import bus, campaign, export, offline  # noqa: F401 - their commands join the group
 from bms_ukf.cli.group import cli
 from bms_ukf.errors import BmsError, ConfigError
 
