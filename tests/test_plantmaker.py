@@ -33,6 +33,8 @@ MADE = {
     "nmc": ["--parameters", "Chen2020", "--model", "SPM"],
     "nmc3": ["--parameters", "Chen2020", "--model", "SPM", "--fmi", "3"],
     "lfp": ["--parameters", "Prada2013", "--thermal", "isothermal"],
+    "branches": ["--parameters", "Prada2013", "--model", "SPM", "--thermal", "isothermal", "--hysteresis", "0.02"],
+    "block": ["--parameters", "Chen2020", "--model", "SPM", "--parallel", "3"],
     "ecm": ["--model", "Thevenin", "--parameters", "ECM_Example", "--fmi", "3"],
     "string": [*SPREAD, "--model", "SPM", "--seed", "4"],
     "string3": [*SPREAD, "--model", "SPM", "--seed", "4", "--fmi", "3"],
@@ -139,6 +141,26 @@ def test_equal_cells_are_the_single_cell(made) -> None:
     equal = {"capacity_factor": [1.0] * 3, "resistance_ohm": [0.0] * 3, "soc_offset": [0.0] * 3}
     trace, _ = drive(made("string3"), currents(5.0, 60), soc_initial=0.6, **equal)
     np.testing.assert_array_equal(trace, np.repeat(single, 3, axis=2))
+
+
+def test_a_cell_of_three_in_parallel_takes_three_times_the_current(made) -> None:
+    single, _ = drive(made("nmc"), currents(5.0, 60), soc_initial=0.6)
+    block, _ = drive(made("block"), currents(15.0, 60), soc_initial=0.6)
+    np.testing.assert_allclose(block, single, rtol=1e-9)
+
+
+def test_the_branches_lie_apart_by_twice_the_hysteresis_and_a_short_reversal_goes_part_of_the_way(made) -> None:
+    """The same SoC, 0.6, is reached by charging, by discharging, and by charging with a reversal of 2 % of charge."""
+    half_Ah, rest = 2.3035 / 2, np.zeros(3600)
+    up, down, short = (np.full(900, share * half_Ah * 4) for share in (-0.6, 0.6, 0.04))
+    rests_V = []
+    for load, start in ((up, 0.3), (down, 0.9), (np.concatenate([up, -short, short]), 0.3)):
+        trace, _ = drive(made("branches"), np.concatenate([load, rest]), soc_initial=start)
+        assert trace[-1, 2, 0] == pytest.approx(0.6, abs=2e-4)
+        rests_V.append(trace[-1, 0, 0])
+    charged_V, discharged_V, turned_V = rests_V
+    assert charged_V - discharged_V == pytest.approx(0.04, abs=1e-3)
+    assert 0.2 < (charged_V - turned_V) / 0.04 < 0.8
 
 
 def test_the_seed_decides_the_spread_and_a_spread_does_not_change_another() -> None:

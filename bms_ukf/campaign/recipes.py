@@ -61,7 +61,7 @@ def of(plant: CampaignPlant) -> list[Recipe]:
     ]
 
 
-def _vehicle(plant: CampaignPlant, ambient_degC: float) -> dict[str, Any]:
+def vehicle(plant: CampaignPlant, ambient_degC: float) -> dict[str, Any]:
     """A car that takes some 3 C of its cells at most; in the cold, where they cannot give that, a lighter one."""
     share = 1.0 if ambient_degC >= 10 else 0.65 if ambient_degC >= -5 else 0.45 if ambient_degC >= -15 else 0.3
     parallel = 18 * 5.0 * 3.63 / (plant.nominal_Ah * plant.nominal_V)
@@ -89,7 +89,7 @@ def _drive(plant: CampaignPlant, ambient_degC: float, soc: float, aged: bool = F
         {"schedule": round_, "repeat": 4} | _limited(plant),
         {"rest_s": HOUR_S / 2},
     ]
-    load = {"segments": segments, "vehicle": _vehicle(plant, ambient_degC)}
+    load = {"segments": segments, "vehicle": vehicle(plant, ambient_degC)}
     return Recipe(_name("drive", ambient_degC, aged), "rest_then_drive", ambient_degC, soc, load, aged=aged)
 
 
@@ -144,7 +144,7 @@ def _mixed(plant: CampaignPlant, ambient_degC: float) -> Recipe:
         {"current_A": -C / 3, "duration_s": 3000.0, "until_above_V": plant.high_V},
         *_cycles(plant, ("us06", HOUR_S)),
     ]
-    load = {"segments": segments, "vehicle": _vehicle(plant, ambient_degC)}
+    load = {"segments": segments, "vehicle": vehicle(plant, ambient_degC)}
     return Recipe(_name("mixed", ambient_degC), "mixed", ambient_degC, 0.35, load)
 
 
@@ -156,13 +156,13 @@ def _long_rest(plant: CampaignPlant, ambient_degC: float, soc: float) -> Recipe:
         {"current_A": C / 4, "duration_s": 900.0} | _limited(plant),
         {"rest_s": 4 * HOUR_S},
     ]
-    load = {"segments": segments, "vehicle": _vehicle(plant, ambient_degC)}
+    load = {"segments": segments, "vehicle": vehicle(plant, ambient_degC)}
     return Recipe(_name("long_rest", ambient_degC), "long_rest", ambient_degC, soc, load)
 
 
 def _fast(plant: CampaignPlant) -> Recipe:
     segments: Segments = [{"rest_s": 120.0}, *_cycles(plant, ("us06", 120.0)), {"cycle": "us06"}, {"rest_s": 60.0}]
-    load = {"segments": segments, "vehicle": _vehicle(plant, 25.0)}
+    load = {"segments": segments, "vehicle": vehicle(plant, 25.0)}
     return Recipe("fast_25degC", "rest_then_drive", 25.0, 0.7, load, step_s=0.1)
 
 
@@ -176,5 +176,5 @@ def _pack(plant: CampaignPlant, cells: int, ambient_degC: float, soc: float) -> 
         *_cycles(plant, ("wltc_3b", 1200.0)),
     ]
     large: Segments = [{"rest_s": 900.0}, *_cycles(plant, ("us06", 300.0))]
-    load = {"segments": large if cells > 10 else small, "vehicle": _vehicle(plant, ambient_degC)}
+    load = {"segments": large if cells > 10 else small, "vehicle": vehicle(plant, ambient_degC)}
     return Recipe(_name(f"pack{cells}", ambient_degC), "rest_then_drive", ambient_degC, soc, load, cells=cells)

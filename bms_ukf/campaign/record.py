@@ -17,43 +17,35 @@ from numpy.typing import NDArray
 
 from bms_ukf import resources
 from bms_ukf.campaign import recipes, traces
+from bms_ukf.campaign.driving import Leg, drive
 from bms_ukf.campaign.plants import PLANTS, CampaignPlant
 from bms_ukf.campaign.recipes import AGED_CAPACITY, AGED_RESISTANCE, Recipe
 from bms_ukf.campaign.traces import Trace
-from bms_ukf.loads import Load
-from bms_ukf.plant import PlantState, open_plant
-from bms_ukf.plantmaker.__main__ import main as make_plant
+from bms_ukf.plant import open_plant
 
-SPREAD = ("--spread-capacity", "0.01", "--spread-resistance", "0.1", "--spread-soc", "0.015", "--seed", "4")
+LEAD_SOC = 0.2  # by which a cell with hysteresis is charged or discharged before a trace begins
 
 
 def record(plant: CampaignPlant, recipe: Recipe, fmu: Path | str) -> Trace:
     """Runs a recipe on the FMU of a plant, to the end of its load."""
-    load = Load.model_validate(recipe.load)
-    parameters = {"soc_initial": recipe.soc_initial} | (_aged(plant) if recipe.aged else {})
-    step_ns = round(recipe.step_s * 1e9)
-    current_A: list[float] = []
-    states: list[PlantState] = []
-    with open_plant(fmu, parameters=parameters, ambient_degC=recipe.ambient_degC) as running:
-        demand = load.demand(recipe.step_s)
-        soc_start = np.atleast_1d(running.state.soc)
-        while (asked := demand.next(running.state.voltage_V, running.state.soc)) is not None:
-            exact_A = round(asked / plant.current_quantum_A) * plant.current_quantum_A
-            states.append(running.step(exact_A, step_ns))
-            current_A.append(exact_A)
-    current, soc = np.array(current_A), _rows(states, "soc")
+    parameters, legs = _parameters(plant, recipe, fmu), [Leg(recipe.load, recipe.ambient_degC, recipe.step_s)]
+    if plant.hysteresis:
+        charged = recipe.soc_initial > 0.5
+        parameters["soc_initial"] += -LEAD_SOC if charged else LEAD_SOC
+        legs.insert(0, Leg({"segments": _lead(plant, charged, recipe.soc_initial)}, recipe.ambient_degC))
+    run = drive(fmu, parameters, *legs)
     return Trace(
         name=f"{plant.name}/{recipe.name}",
         plant=plant.name,
         cell=plant.cell,
         kind=recipe.kind,
         step_s=recipe.step_s,
-        current_A=current,
-        voltage_V=_rows(states, "voltage_V"),
-        temperature_degC=_rows(states, "temperature_degC").mean(axis=1),
-        soc=soc,
+        current_A=run.current_A,
+        voltage_V=run.voltage_V,
+        temperature_degC=run.temperature_degC.mean(axis=1),
+        soc=run.soc,
         ambient_degC=recipe.ambient_degC,
-        capacity_Ah=_capacity_Ah(current * recipe.step_s / 3600, soc, soc_start),
+        capacity_Ah=_capacity_Ah(run.current_A * recipe.step_s / 3600, run.soc, run.soc_start),
         aged=recipe.aged,
         soc_ref_sigma=0.0,
     )
@@ -61,33 +53,31 @@ def record(plant: CampaignPlant, recipe: Recipe, fmu: Path | str) -> Trace:
 
 def record_all(plant: CampaignPlant, folder: Path) -> Iterator[Trace]:
     """Records all recipes of a plant, one by one, with FMUs made in `folder`."""
-    made: dict[int, Path | str] = {}
     for recipe in recipes.of(plant):
-        if recipe.cells not in made:
-            made[recipe.cells] = _fmu(plant, recipe.cells, folder)
-        yield record(plant, recipe, made[recipe.cells])
+        yield record(plant, recipe, plant.fmu(folder, recipe.cells))
 
 
-def _aged(plant: CampaignPlant) -> dict[str, float]:
-    """A smaller cell has more resistance by itself: the rest is put in series."""
-    more_ohm = (AGED_RESISTANCE - 1 / AGED_CAPACITY) * plant.resistance_ohm
-    return {"capacity_factor": AGED_CAPACITY, "resistance_ohm": more_ohm}
+def _lead(plant: CampaignPlant, charged: bool, soc: float) -> list[dict[str, float]]:
+    """A trace of a cell with hysteresis begins at rest on one of its branches, as a car does that was used before."""
+    limit = {"until_above_soc": soc} if charged else {"until_below_soc": soc}
+    current_A = plant.nominal_Ah / 3 * (-1 if charged else 1)
+    return [{"current_A": current_A, "duration_s": 7200.0} | limit, {"rest_s": 10800.0}]
 
 
-def _fmu(plant: CampaignPlant, cells: int, folder: Path) -> Path | str:
-    if not plant.maker and cells == 1:
-        return plant.name
-    if not plant.maker and cells == 96:
-        return "pack_96s"
-    path = folder / f"{plant.name}_{cells}.fmu"
-    series = ("--series", str(cells), "--fmi", "3", *SPREAD) if cells > 1 else ()
-    if make_plant([str(path), *(plant.maker or ("--parameters", "Chen2020")), *series]):
-        raise SystemExit(2)
-    return path
+def _parameters(plant: CampaignPlant, recipe: Recipe, fmu: Path | str) -> dict[str, float]:
+    """A smaller cell has more resistance by itself; what an aged one has beyond that is put in series."""
+    parameters = {"soc_initial": recipe.soc_initial}
+    if recipe.aged:
+        more_ohm = (AGED_RESISTANCE - 1 / AGED_CAPACITY) * _resistance_ohm(plant, fmu)
+        parameters |= {"capacity_factor": AGED_CAPACITY * plant.parallel, "resistance_ohm": more_ohm}
+    return parameters
 
 
-def _rows(states: list[PlantState], name: str) -> NDArray[np.float64]:
-    return np.array([np.atleast_1d(getattr(state, name)) for state in states])
+def _resistance_ohm(plant: CampaignPlant, fmu: Path | str) -> float:
+    """Of a new cell, by the first second of 1C from half charge at 25 degC."""
+    with open_plant(fmu, parameters={"soc_initial": 0.5}, ambient_degC=25.0) as running:
+        rest_V = float(running.state.voltage_V)
+        return round((rest_V - float(running.step(plant.nominal_Ah, 1_000_000_000).voltage_V)) / plant.nominal_Ah, 4)
 
 
 def _capacity_Ah(charge_Ah: NDArray[np.float64], soc: NDArray[np.float64], start: NDArray[np.float64]) -> Any:
@@ -112,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
                 sys.stdout.write(f"{trace.name}: {trace.rows} rows, {range_}, {lowest:.3f} to {highest:.3f} V\n")
                 sys.stdout.flush()
         path = given.out / f"{name}{traces.SUFFIX}"
-        traces.save(done, path, plant.current_quantum_A)
+        traces.save(done, path)
         sys.stdout.write(f"{path}: {path.stat().st_size} bytes\n")
     return 0
 

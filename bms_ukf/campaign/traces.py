@@ -21,7 +21,7 @@ from bms_ukf import resources
 from bms_ukf.errors import ConfigError
 
 SUFFIX = ".xz"
-VOLTAGE_V, TEMPERATURE_K, SOC = 1e-4, 1e-2, 1e-5  # quanta
+CURRENT_A, VOLTAGE_V, TEMPERATURE_K, SOC = 1e-3, 1e-4, 1e-2, 1e-5  # quanta
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -84,12 +84,12 @@ def cell_file(trace: Trace) -> Path:
     return identified if identified.is_file() else resources.find(trace.cell, "cells", ".toml")
 
 
-def save(traces: Sequence[Trace], path: Path, current_quantum_A: float) -> None:
-    """Writes all traces of one plant. Their currents must be multiples of `current_quantum_A`."""
+def save(traces: Sequence[Trace], path: Path) -> None:
+    """Writes all traces of one plant. Their currents must be multiples of `CURRENT_A`."""
     headers: dict[str, dict[str, Any]] = {}
     columns: dict[str, Any] = {}  # Any: savez takes an option among its arrays
     for number, trace in enumerate(traces):
-        headers[trace.name], of_trace = _encoded(trace, current_quantum_A)
+        headers[trace.name], of_trace = _encoded(trace)
         columns |= {f"{number}.{name}": column for name, column in of_trace.items()}
         headers[trace.name]["number"] = number
     archive = io.BytesIO()
@@ -109,21 +109,21 @@ def _file(plant: str) -> tuple[dict[str, dict[str, Any]], dict[str, NDArray[Any]
 
 def _charge(current: Integers, header: dict[str, Any]) -> Integers:
     """What the current alone makes of SoC, in quanta; shape (rows, cells)."""
-    taken_Ah = np.cumsum(current) * (header["current_quantum_A"] * header["step_s"] / 3600)
+    taken_Ah = np.cumsum(current) * (CURRENT_A * header["step_s"] / 3600)
     return _whole(taken_Ah[:, None] / np.array(header["capacity_Ah"]), -SOC)
 
 
 def _ohmic(current: Integers, header: dict[str, Any]) -> Integers:
     """What a fixed resistance makes of the voltage, in quanta: the difference from it is smaller, and so its code."""
-    return _whole(current[:, None] * (-header["current_quantum_A"] * np.array(header["ohm"])), VOLTAGE_V)
+    return _whole(current[:, None] * (-CURRENT_A * np.array(header["ohm"])), VOLTAGE_V)
 
 
 def _whole(values: NDArray[Any], quantum: float) -> Integers:
     return np.asarray(np.rint(values / quantum), dtype=np.int64)
 
 
-def _encoded(trace: Trace, current_quantum_A: float) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    current = _whole(trace.current_A, current_quantum_A)
+def _encoded(trace: Trace) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    current = _whole(trace.current_A, CURRENT_A)
     step_A, step_V = np.diff(trace.current_A), np.diff(trace.voltage_V, axis=0)
     ohm = -(step_A @ step_V) / max(float(step_A @ step_A), 1e-9)
     header = {
@@ -134,7 +134,6 @@ def _encoded(trace: Trace, current_quantum_A: float) -> tuple[dict[str, Any], di
         "aged": trace.aged,
         "capacity_Ah": [round(float(value), 6) for value in trace.capacity_Ah],
         "ohm": [round(float(value), 6) for value in ohm],
-        "current_quantum_A": current_quantum_A,
     }
     columns = {
         "current": current,
@@ -159,7 +158,7 @@ def _decoded(name: str, header: dict[str, Any], columns: dict[str, NDArray[Any]]
         cell=header["cell"],
         kind=header["kind"],
         step_s=header["step_s"],
-        current_A=values(current, header["current_quantum_A"]),
+        current_A=values(current, CURRENT_A),
         voltage_V=values(column("voltage") + _ohmic(current, header), VOLTAGE_V),
         temperature_degC=values(column("temperature"), TEMPERATURE_K),
         soc=values(column("soc") + _charge(current, header), SOC),

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -32,8 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar=("E", "S", "P"),
         help="of the mesh: each electrode, separator, each particle (default 10 4 20)",
     )
+    parser.add_argument(
+        "--hysteresis", type=_volts, default=0.0, metavar="V", help="half the gap between charge and discharge branch"
+    )
     parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version (default 2)")
     parser.add_argument("--series", type=_at_least_one, metavar="N", help="cells in series, as arrays of N")
+    parser.add_argument("--parallel", type=_block, default=1, metavar="N", help="each cell is N equal ones in parallel")
     parser.add_argument("--spread-capacity", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
     parser.add_argument("--spread-resistance", type=_sigma, default=0.0, metavar="SIGMA", help="of its own, e.g. 0.1")
     parser.add_argument("--spread-soc", type=_sigma, default=0.0, metavar="SIGMA", help="e.g. 0.01")
@@ -72,6 +77,7 @@ def _make(given: argparse.Namespace, command: str) -> None:
 
         points = models.points(*given.points) if given.points else models.FINE
         cell = models.load(given.model, given.parameters, given.thermal, var_pts=points)
+        cell = replace(cell, hysteresis_V=given.hysteresis)
         sources = given.sources or Path(scratch)
         sources.mkdir(parents=True, exist_ok=True)
         cells = f", {given.series} in series" if given.series else ""
@@ -90,6 +96,7 @@ def _make(given: argparse.Namespace, command: str) -> None:
                 gradient_K=given.gradient,
                 weak=given.weak,
             ),
+            parallel=given.parallel,
             soc_initial=given.soc_initial,
         )
         (sources / "README.md").write_text(folder.page(cell, command), encoding="utf-8")
@@ -102,9 +109,21 @@ def _at_least_one(text: str) -> int:
     return number
 
 
+def _block(text: str) -> int:
+    if not 1 <= (number := int(text)) <= 15:  # the largest capacity_factor is 20, of a cell that is larger than others
+        raise argparse.ArgumentTypeError("1 to 15")
+    return number
+
+
 def _sigma(text: str) -> float:
     if not 0 <= (number := float(text)) <= 0.3:
         raise argparse.ArgumentTypeError("0 to 0.3")
+    return number
+
+
+def _volts(text: str) -> float:
+    if not 0 <= (number := float(text)) <= 0.5:
+        raise argparse.ArgumentTypeError("0 to 0.5")
     return number
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import casadi
 
+from bms_ukf.plantmaker import hysteresis
 from bms_ukf.plantmaker.models import COUNTERS, INPUTS, Cell
 
 ANSWERS = 3  # voltage, temperature and SoC, before the guards
@@ -35,19 +36,26 @@ def functions(cell: Cell) -> Functions:
     of_initial: Any = casadi.Function("initial", [parts["inputs"]], [parts["x0"]])
     # Scalar expressions make the fastest code; only a model with tables (interpolants) cannot be written in them.
     symbol: Any = casadi.SX if _expands(of_rhs) and _expands(of_outputs) else casadi.MX
-    x, u = symbol.sym("x", n_x), symbol.sym("u", len(INPUTS))
-    at: list[Any] = [0, casadi.vertcat(symbol.zeros(first), x), symbol.zeros(0), u]
+    n_h = len(hysteresis.DEPTHS) if cell.hysteresis_V else 0
+    x, u = symbol.sym("x", n_h + n_x), symbol.sym("u", len(INPUTS))
+    h, of_model = x[:n_h], x[n_h:]
+    at: list[Any] = [0, casadi.vertcat(symbol.zeros(first), of_model), symbol.zeros(0), u]
     rhs, outputs = of_rhs(*at)[first:], of_outputs(*at)
+    voltage_V, initial = outputs[0], of_initial(u)[first:]
+    if n_h:
+        rhs = casadi.vertcat(hysteresis.rates(h, u[0], cell.capacity_Ah), rhs)
+        voltage_V += hysteresis.voltage_V(h, cell.hysteresis_V)
+        initial = casadi.vertcat(symbol.zeros(n_h), initial)
     empty, full = cell.soc
-    answers = casadi.vertcat(outputs[0], outputs[1], (outputs[2] - empty) / (full - empty))
+    answers = casadi.vertcat(voltage_V, outputs[1], (outputs[2] - empty) / (full - empty))
     # The largest row sum of |Jacobian| bounds its spectral radius (Gershgorin), and is close to it for diffusion. A
     # temperature is the last state, slower by far, and drives no other strongly: its row would only cost time.
     fast = rhs[:-1] if cell.thermal == "lumped" else rhs
     radius = casadi.mmax(casadi.sum2(casadi.fabs(casadi.jacobian(fast, x))))
     return Functions(
-        _function("cell_initial", [u], of_initial(u)[first:]),
+        _function("cell_initial", [u], initial),
         _function("cell_rhs", [x, u], rhs),
-        _function("cell_outputs", [x, u], casadi.vertcat(answers, cell.guards(x, outputs))),
+        _function("cell_outputs", [x, u], casadi.vertcat(answers, cell.guards(of_model, outputs))),
         _function("cell_radius", [x, u], radius),
     )
 

@@ -68,16 +68,21 @@ def write(
     reference: str,
     series: int | None = None,
     spread: Spread | None = None,
+    parallel: int = 1,
     soc_initial: float = 0.5,
 ) -> None:
-    """Writes cell.c, cell.h and fmu.toml into `folder`. `series` cells give arrays; None: one cell, and scalars."""
+    """Writes cell.c, cell.h and fmu.toml into `folder`. `series` cells give arrays; None: one cell, and scalars.
+
+    A cell of the plant is `parallel` of the model's, equal and in parallel.
+    """
     codegen.write(cell, folder)
     spread, cells = spread or Spread(), series or 1
-    own_ohm = resistance_ohm(cell) if spread.resistance or spread.weak else 0.0
-    capacity = _rounded([1 + value for value in spread.values("capacity", spread.capacity, WEAK_CAPACITY, cells)])
+    own_ohm = resistance_ohm(cell) / parallel if spread.resistance or spread.weak else 0.0
+    shares = spread.values("capacity", spread.capacity, WEAK_CAPACITY, cells)
+    capacity = _rounded([parallel * (1 + value) for value in shares])
     extra_ohm = spread.values("resistance", spread.resistance * own_ohm, WEAK_RESISTANCE * own_ohm, cells)
     offsets = spread.values("soc", spread.soc, WEAK_SOC, cells)
-    largest_A = LARGEST_C_RATE * cell.nominal_Ah
+    largest_A = LARGEST_C_RATE * cell.nominal_Ah * parallel
     low_V, high_V = cell.voltage_limits_V
 
     def start(values: list[float]) -> str:
@@ -198,15 +203,17 @@ description = "added to ambient_degC"
 def page(cell: Cell, command: str) -> str:
     """README.md of a made plant."""
     low_V, high_V = cell.voltage_limits_V
+    widened = f", without the hysteresis of {cell.hysteresis_V:g} V to either side" if cell.hysteresis_V else ""
     return f"""# {cell.model} with the parameter set {cell.parameter_set}
 
 PyBaMM's `{cell.model}`, thermal model `{cell.thermal}`, parameter set `{cell.parameter_set}`, made into C by
 
     {command}
 
-{cell.capacity_Ah:.4f} Ah lie between {low_V:g} V and {high_V:g} V at rest and 25 degC. The cell starts at rest, at the
-ambient temperature. A step after which the model does not hold ({cell.out_of_range}) is refused
-whole: the cells stay at the start of the step. modelDescription.xml has the variables.
+{cell.capacity_Ah:.4f} Ah lie between {low_V:g} V and {high_V:g} V at rest and 25 degC{widened}.
+The cell starts at rest, at the ambient temperature. A step after which the model does not hold
+({cell.out_of_range}) is refused whole: the cells stay at the start of the step.
+modelDescription.xml has the variables.
 
 The equations are integrated by the second-order Runge-Kutta-Chebyshev method with error control (rkc.c): 1e-5 a step.
 """

@@ -39,6 +39,7 @@ class Cell:
     voltage_limits_V: tuple[float, float]
     out_of_range: str
     guards: Callable[[Any, Any], Any]  # of the state and the outputs: what has to stay above 0
+    hysteresis_V: float = 0.0  # half of the gap between the charge and the discharge branch, see `hysteresis.py`
 
 
 def points(electrode: int, separator: int, particle: int) -> dict[str, int]:
