@@ -1,10 +1,10 @@
-# make demo · hil · test · lint · plant · bench · soak: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
+# make demo · hil · test · lint · honesty · plant · bench · soak: each makes its own .venv first. PYTHON=python3.12 chooses the interpreter.
 PYTHON ?= python3
 BIN := .venv/bin
 export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 export PYBAMM_DISABLE_TELEMETRY := true
 
-.PHONY: demo hil test lint plant bench soak clean
+.PHONY: demo hil test lint honesty ratchet plant bench soak clean
 
 demo: .venv/runtime
 	$(BIN)/bms-ukf demo
@@ -20,6 +20,13 @@ lint: .venv/test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+honesty: .venv/runtime
+	$(BIN)/bms-ukf campaign --report honesty.html --json honesty.json
+
+# What the quick campaign in `make test` may not fall behind, measured again.
+ratchet: .venv/runtime
+	PYTHONPATH=tests/reference $(BIN)/python -m honesty_gate
 
 plant: .venv/runtime compiler
 	$(BIN)/python -m bms_ukf.fmumaker models/lgm50_spme models/plants/lgm50_spme.fmu

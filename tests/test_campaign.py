@@ -202,6 +202,7 @@ def test_a_missed_goal_is_exit_code_1_and_a_line(bms_ukf, monkeypatch):
         (("--seed", "10000"), "a seed from 0 to 9999"),
         (("--quick", "--first-seed", "9995"), "a seed from 0 to 9999"),
         (("--seed", "one"), "one"),
+        (("--plant", "windmill"), "lgm50_spme"),
     ],
 )
 def test_a_class_or_seed_that_does_not_exist_is_one_line(bms_ukf, arguments, words):
@@ -211,3 +212,14 @@ def test_a_class_or_seed_that_does_not_exist_is_one_line(bms_ukf, arguments, wor
 def test_a_family_names_its_classes():
     assert classes.named("sensors") == ["sensor_error_alone", "sensor_errors_together"]
     assert classes.named(None) == list(classes.CLASSES)
+
+
+def test_the_page_shows_the_worst_run_its_goals_and_how_to_repeat_it(bms_ukf, tmp_path):
+    page = tmp_path / "campaign.html"
+    bms_ukf("campaign", "--class", "gaps", "--runs", 2, "--jobs", 1, "--report", page, "--json", tmp_path / "c.json")
+    worst = json.loads((tmp_path / "c.json").read_text())["classes"]["gaps"]["worst_seed"]
+    text = page.read_text("utf-8")
+    assert text.count("data:image/png;base64,") == 1
+    assert f"bms-ukf campaign --class gaps --seed {worst}" in text
+    assert "≥ 93" in text
+    assert classes.situation("gaps", worst).words.partition(";")[0] in text

@@ -67,7 +67,7 @@ MAY_IMPORT = {
     "plantmaker": {"errors", "fmumaker", "plantmaker"},
     "estimator_fmu": {"__version__", "cell", "estimator_fmu", "firmware", "fmumaker", "tuning"},
     "faults": {"dbc", "e2e", "faults", "frames", "records", "toml"},
-    "expectations": {"expectations", "faults", "metrics", "plant", "records", "toml", "trace"},
+    "expectations": {"expectations", "faults", "honesty", "plant", "records", "toml", "trace"},
     "hil": CODEC
     | {"bus", "clock", "config", "daemon", "errors", "estimator", "expectations", "faults", "hil", "node", "plant"}
     | {"records", "resources", "scenario", "sensors", "slots", "state"},

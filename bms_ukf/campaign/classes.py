@@ -60,16 +60,25 @@ def named(name: str | None) -> list[str]:
     return found
 
 
-def situation(name: str, seed: int) -> Situation:
-    """Draw the situation of a class and a seed: the same for ever, as long as the traces stay the same.
+def plants(given: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the plants of that name, all for none. ConfigError for one without traces."""
+    known = traces.plants()
+    for name in given:
+        if name not in known:
+            raise ConfigError("--plant", value=name, expected=f"a plant with traces: {', '.join(known)}")
+    return tuple(given) or tuple(known)
+
+
+def situation(name: str, seed: int, given: Sequence[str] = ()) -> Situation:
+    """Draw the situation of a class and a seed, on the `given` plants or on all. The same arguments give the same.
 
     Variants and plants take turns in an order of their own for each class, so that a dozen seeds have seen all.
     """
-    kind, plants = CLASSES[name], traces.plants()
+    kind, among = CLASSES[name], plants(given)
     rng = _generator(name, "run", seed)
     variant = in_turn(name, "variant", seed, kind.variants)
-    first = in_turn(name, "plant", seed, plants)
-    for plant in (first, *(other for other in plants if other != first)):
+    first = in_turn(name, "plant", seed, among)
+    for plant in (first, *(other for other in among if other != first)):
         found = kind.draw(Lot(rng, plant, variant))
         if found is not None:
             return found

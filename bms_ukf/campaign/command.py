@@ -16,24 +16,35 @@ RUNS, QUICK_RUNS = 60, 12  # of a class
 _LONGEST_FIRST = ("packs", "sampling", "rests", "charges", "age")
 
 
+Task = tuple[str, int, tuple[str, ...]]
+
+
 class Plan(NamedTuple):
     """Which runs: `runs` seeds of each class from `first` on; `quick`: with an allowance for chance."""
 
     names: tuple[str, ...]
+    plants: tuple[str, ...]
     first: int
     runs: int
     quick: bool
 
     @property
-    def tasks(self) -> list[tuple[str, int]]:
-        """Classes and seeds, those that take longest first."""
+    def tasks(self) -> list[Task]:
+        """Classes, seeds and plants, those that take longest first."""
         order = sorted(self.names, key=lambda name: name not in _LONGEST_FIRST)
-        return [(name, seed) for name in order for seed in range(self.first, self.first + self.runs)]
+        return [(name, seed, self.plants) for name in order for seed in range(self.first, self.first + self.runs)]
 
 
-def plan(name: str | None, seed: int | None, quick: bool, first: int = 0, runs: int | None = None) -> Plan:
-    """Return the runs that a user asked for. ConfigError for a class or a seed that does not exist."""
-    names = tuple(classes.named(name))
+def plan(
+    name: str | None = None,
+    seed: int | None = None,
+    quick: bool = False,
+    first: int = 0,
+    runs: int | None = None,
+    plants: Sequence[str] = (),
+) -> Plan:
+    """Return the runs that a user asked for. ConfigError for a class, a seed or a plant that does not exist."""
+    names, among = tuple(classes.named(name)), classes.plants(plants)
     if seed is not None:
         first, runs, quick = seed, 1, True
     runs = runs or (QUICK_RUNS if quick else RUNS)
@@ -41,7 +52,7 @@ def plan(name: str | None, seed: int | None, quick: bool, first: int = 0, runs: 
         if not 0 <= given < classes.SEEDS:
             expected = f"a seed from 0 to {classes.SEEDS - 1}"
             raise ConfigError("--seed" if seed is not None else "--first-seed", value=given, expected=expected)
-    return Plan(names, first, runs, quick)
+    return Plan(names, among, first, runs, quick)
 
 
 def campaign(
@@ -59,12 +70,12 @@ def campaign(
     return sorted(found, key=lambda run: (order[run.name], run.seed))
 
 
-def _serial(tasks: Sequence[tuple[str, int]]) -> Iterator[RunFigures]:
+def _serial(tasks: Sequence[Task]) -> Iterator[RunFigures]:
     for task in tasks:
         yield of_run(*task)
 
 
-def _parallel(tasks: Sequence[tuple[str, int]], jobs: int) -> Iterator[RunFigures]:
+def _parallel(tasks: Sequence[Task], jobs: int) -> Iterator[RunFigures]:
     # Forked processes would share the locks of a compiler that runs threads.
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         for done in as_completed([pool.submit(of_run, *task) for task in tasks]):
@@ -89,6 +100,7 @@ def summary(wanted: Plan, runs: Sequence[RunFigures]) -> dict[str, Any]:
     fine = len(found) == 1 or goals.AVERAGE.met(average_pct, len(runs), wanted.quick)
     return {
         "quick": wanted.quick,
+        "plants": list(wanted.plants),
         "first_seed": wanted.first,
         "runs_per_class": wanted.runs,
         "classes": found,

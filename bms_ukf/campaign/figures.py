@@ -64,9 +64,9 @@ class RunFigures(NamedTuple):
         return self.beyond / max(self.rows, 1), outside, self.rmse or 0.0
 
 
-def of_run(name: str, seed: int) -> RunFigures:
-    """Draw the situation of a class and a seed, run it, and return its figures."""
-    situation = classes.situation(name, seed)
+def of_run(name: str, seed: int, plants: Sequence[str] = ()) -> RunFigures:
+    """Draw the situation of a class and a seed on these plants (none: all), run it, and return its figures."""
+    situation = classes.situation(name, seed, plants)
     return judge(name, seed, situation, run(situation))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bms_ukf import honesty
 from bms_ukf.faults.base import Injection
 from bms_ukf.plant import PlantState
 from bms_ukf.records import NAN, Estimate, Fault, PerCell, Sample, Status, Stored
@@ -99,6 +100,10 @@ class Record:
     def error(self) -> NDArray[np.float64]:
         """SoC minus truth, 0..1; NaN in rows without a SoC on the bus."""
         return self.trace["soc"] - self.trace["soc_ref"]
+
+    def interval(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lower and the upper bound of SoC as a receiver has them, 0..1; NaN in rows without a SoC."""
+        return honesty.bounds(self.trace["soc"], self.trace["soc_sigma"])
 
     def states(self) -> NDArray[np.int64]:
         """What the receiver takes the status to be, row by row: a `Status`, or SILENT."""

@@ -1,0 +1,74 @@
+"""The ratchet of the quick campaign: goals that are missed today, each with the value that must not get worse.
+
+`PYTHONPATH=tests/reference python -m honesty_gate` (`make ratchet`) runs the quick campaign and writes the file anew.
+A goal that is not in the file must be met. When the file is empty, the ratchet has done its work.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from bms_ukf.campaign import command, goals, view
+
+GATE = Path(__file__).resolve().parents[1] / "honesty_gate.toml"
+HEAD = """\
+# Goals that the quick campaign misses today, in the order of its table: no figure may get worse than it is here.
+# `make ratchet` measures them again, when the filter has got better or the campaign has changed.
+"""
+SHARE_PCT, FACTOR = 3.0, 1.1  # by which another machine may differ: shares in points, widths and errors as a factor
+
+
+def quick() -> command.Plan:
+    """Return the runs of the gate: another plant's traces do not change them, as long as the file does not name it."""
+    return command.plan(quick=True, plants=_file()["plants"])
+
+
+def held() -> dict[str, dict[str, float]]:
+    """Return the figures in the file, by class."""
+    return {name: figures for name, figures in _file().items() if isinstance(figures, dict)}
+
+
+def _file() -> dict[str, Any]:
+    return tomllib.loads(GATE.read_text(encoding="utf-8"))
+
+
+def broken(summary: dict[str, Any], gate: dict[str, dict[str, float]]) -> list[str]:
+    """Return a line for each goal of a quick campaign that is missed by more than the gate has."""
+    lines = []
+    for name, found in summary["classes"].items():
+        for goal in goals.missed(name, found, summary["quick"]):
+            value, before = found[goal.figure], gate.get(name, {}).get(goal.figure)
+            if before is None:
+                lines.append(f"{name}: {goal.figure} {value:.2f}, goal {goal.words}")
+                continue
+            slack = SHARE_PCT if goal.share else (FACTOR - 1) * before
+            worst = before - slack if goal.at_least else before + slack
+            if value < worst if goal.at_least else value > worst:
+                lines.append(f"{name}: {goal.figure} {value:.2f}, was {before:.2f} (goal {goal.words})")
+    return lines
+
+
+def text(summary: dict[str, Any]) -> str:
+    """Return the file that holds what a quick campaign misses."""
+    parts = [HEAD, f"plants = {json.dumps(summary['plants'])}\n"]
+    for name, found in summary["classes"].items():
+        if found["missed"]:
+            parts.append(f"\n[{name}]\n" + "".join(f"{figure} = {found[figure]:.2f}\n" for figure in found["missed"]))
+    return "".join(parts)
+
+
+def main() -> int:
+    wanted = command.plan(quick=True)
+    with view.progress(view.console(), len(wanted.tasks)) as watch:
+        summary = command.summary(wanted, command.campaign(wanted, watch=watch))
+    view.show(summary, view.console())
+    GATE.write_text(text(summary), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
