@@ -69,6 +69,7 @@ def test_the_wheel_is_pure_python_and_carries_the_data(wheel):
         "bms_ukf/data/can/bms.dbc",
         "bms_ukf/data/cells/lgm50_chen2020.toml",
         "bms_ukf/data/plants/lgm50_spme.fmu",
+        "bms_ukf/data/campaign/lgm50_spme.xz",
         "bms_ukf/fmumaker/c/fmi3.c",
         "bms_ukf/fmumaker/c/plant.c",
     } <= names
