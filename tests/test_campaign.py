@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from bms_ukf import Status
-from bms_ukf.campaign import classes, course, figures, goals, run, sensing, traces
+from bms_ukf.campaign import classes, course, figures, goals, library, run, sensing, traces
 from bms_ukf.campaign.run import Published
 from bms_ukf.campaign.situation import Failure, Situation
+from bms_ukf.manifest import DATA_FOLDER
 from bms_ukf.records import Fault
 
 
@@ -18,7 +19,7 @@ def published(t_s, soc, half_width, truth, status=Status.OK, faults=Fault.NONE):
     words = [np.broadcast_to(np.asarray(value, dtype=np.int64), (len(t_s),)) for value in (status, faults)]
     silent = np.zeros(len(t_s), dtype=bool)
     low, high = columns[0] - half_width, columns[0] + half_width
-    return Published(np.asarray(t_s, dtype=float), columns[0], low, high, *words, columns[1], silent, False, True)
+    return Published(np.asarray(t_s, dtype=float), columns[0], low, high, *words, columns[1], silent, 0.0, False, True)
 
 
 def resting(rows, **more):
@@ -223,3 +224,37 @@ def test_the_page_shows_the_worst_run_its_goals_and_how_to_repeat_it(bms_ukf, tm
     assert f"bms-ukf campaign --class gaps --seed {worst}" in text
     assert "≥ 93" in text
     assert classes.situation("gaps", worst).words.partition(";")[0] in text
+
+
+def test_a_limit_that_the_run_cannot_reach_asks_for_nothing():
+    answer = published(np.arange(1.0, 31), 0.5, 0.1, 0.5)
+    loaded = np.ones(30, dtype=bool)
+    assert judged(answer, loaded=loaded, failure=Failure("current", 10.0, within_s=19.0)).within_s == 19.0
+    assert judged(answer, loaded=loaded, failure=Failure("current", 10.0, within_s=21.0)).within_s is None
+
+
+def test_the_doubt_of_a_recording_s_reference_counts():
+    answer = published(np.arange(1.0, 5), 0.5, 0.1, 0.615)
+    assert judged(answer).inside == 0
+    assert judged(answer._replace(ref_sigma=0.01)).inside == 4
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_rest_is_a_rest_and_lasts(seed):
+    situation = classes.situation("rests", seed)
+    assert not situation.loaded.any()
+    assert situation.t_s[-1] >= 1200.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_silence_is_one_gap_with_samples_on_both_sides(seed):
+    silent = classes.situation("gaps", seed).silent
+    assert not silent[0]
+    assert not silent[-1]
+    assert np.count_nonzero(np.diff(silent.astype(int))) == 2
+
+
+def test_without_recordings_the_plants_are_those_with_committed_traces(monkeypatch):
+    monkeypatch.delenv(DATA_FOLDER, raising=False)
+    assert library.plants() == traces.plants()
+    assert library.names("lgm50_spme") == traces.names("lgm50_spme")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bms_ukf.campaign import charges, failures, gaps, rests, sensors, starts, traces, variants
+from bms_ukf.campaign import charges, failures, gaps, library, rests, sensors, starts, variants
 from bms_ukf.campaign.cuts import Lot
 from bms_ukf.campaign.situation import Situation
 from bms_ukf.errors import ConfigError
@@ -62,7 +62,7 @@ def named(name: str | None) -> list[str]:
 
 def plants(given: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the plants of that name, all for none. ConfigError for one without traces."""
-    known = traces.plants()
+    known = library.plants()
     for name in given:
         if name not in known:
             raise ConfigError("--plant", value=name, expected=f"a plant with traces: {', '.join(known)}")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
@@ -62,10 +64,11 @@ def campaign(
     tasks = wanted.tasks
     jobs = min(jobs or len(os.sched_getaffinity(0)), len(tasks))
     found = []
-    for figures in _serial(tasks) if jobs == 1 else _parallel(tasks, jobs):
-        found.append(figures)
-        if watch is not None:
-            watch(figures)
+    with _quiet():
+        for figures in _serial(tasks) if jobs == 1 else _parallel(tasks, jobs):
+            found.append(figures)
+            if watch is not None:
+                watch(figures)
     order = {name: place for place, name in enumerate(wanted.names)}
     return sorted(found, key=lambda run: (order[run.name], run.seed))
 
@@ -78,8 +81,25 @@ def _serial(tasks: Sequence[Task]) -> Iterator[RunFigures]:
 def _parallel(tasks: Sequence[Task], jobs: int) -> Iterator[RunFigures]:
     # Forked processes would share the locks of a compiler that runs threads.
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(of_run, *task) for task in tasks]):
+        for done in as_completed([pool.submit(_work, task) for task in tasks]):
             yield done.result()
+
+
+def _work(task: Task) -> RunFigures:
+    with _quiet():
+        return of_run(*task)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Hide the daemon's own log: it names sensors that are wrong on purpose."""
+    logger = logging.getLogger("bms_ukf")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def summary(wanted: Plan, runs: Sequence[RunFigures]) -> dict[str, Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf.campaign import sensing, spans, traces
+from bms_ukf.campaign import library, sensing, spans, traces
 from bms_ukf.campaign.course import Course, cut
 from bms_ukf.campaign.sensing import Errors
 from bms_ukf.campaign.situation import Failure, Situation
@@ -39,12 +38,6 @@ class Lot(NamedTuple):
         return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
 
 
-@lru_cache(maxsize=64)
-def load(name: str) -> Trace:
-    """Return a committed trace, decoded once."""
-    return traces.load(name)
-
-
 def single(trace: Trace) -> bool:
     """Return whether a trace is of one new cell, a row a second."""
     return trace.cells == 1 and not trace.aged and trace.step_s == 1.0
@@ -52,8 +45,8 @@ def single(trace: Trace) -> bool:
 
 def place(lot: Lot, where: Where, which: Which = single, rest_s: float = SHORTEST_S) -> tuple[Trace, int] | None:
     """Draw a row at which `where` holds, with `rest_s` of trace behind it; None: the plant has none."""
-    for name in lot.rng.permutation(traces.names(lot.plant)):
-        trace = load(str(name))
+    for name in lot.rng.permutation(library.names(lot.plant)):
+        trace = library.load(str(name))
         if not which(trace):
             continue
         rows = np.flatnonzero(where(spans.of(trace.name)))
@@ -94,6 +87,7 @@ def measure(
         course.soc,
         course.loaded,
         float(degC.mean()),
+        course.trace.soc_ref_sigma,
         tuning or {},
         config or {},
         failure,

@@ -20,7 +20,7 @@ FROM_THE_START = 0.25  # share of the runs
 DRIVE_S, CONSTANT_S, SCALE_S = 120.0, 600.0, 60.0  # time under load until a failure must be named
 
 CURRENT = ("dead", "dead with noise", "stuck", "flipped", "halved", "saturated", "no charge", "no discharge")
-VOLTAGE = ("stuck", "jumping", "offset", "drifting")
+VOLTAGE = ("stuck", "jumping")
 
 
 def current(lot: Lot) -> Situation | None:
@@ -91,6 +91,4 @@ def _jumps(rng: np.random.Generator, shown_V: Array) -> Array:
 _VOLTAGE: dict[str, Callable[[np.random.Generator, Array], Array]] = {  # generator and readings, to errors
     "stuck": lambda rng, shown_V: shown_V[0] - shown_V,
     "jumping": _jumps,
-    "offset": lambda rng, shown_V: np.full_like(shown_V, rng.choice([-1, 1]) * rng.uniform(0.05, 0.3)),
-    "drifting": lambda rng, shown_V: np.linspace(0.0, rng.choice([-1, 1]) * 0.05, len(shown_V))[:, None],
 }

@@ -94,31 +94,38 @@ def judge(name: str, seed: int, situation: Situation, published: Published) -> R
         situation.true_degC >= WARM_degC,
         int(known.size),
         int(known.sum()),
-        int(honesty.inside(low, high, truth)[known].sum()),
+        int(honesty.inside(low, high, truth, published.ref_sigma)[known].sum()),
         int(ok.sum()),
-        int(honesty.beyond(low, high, truth)[ok].sum()),
+        int(honesty.beyond(low, high, truth, published.ref_sigma)[ok].sum()),
         float(squared.sum()),
         half_width[::EVERY][known[::EVERY]].astype(np.float32),
         int(known[late].sum()),
         float(squared[late].sum()),
         float(np.abs(error[after[0]]).max()) if after.size else None,
         float(half_width[after[0]].max()) if after.size else None,
-        failure.within_s if failure else None,
-        _named_s(situation, published) if failure else None,
+        *(_naming(situation, published) if failure else (None, None)),
     )
 
 
-def _named_s(situation: Situation, published: Published) -> float | None:
-    """Return the time under load from the failure until a fault bit of that sensor appears; None: never."""
+def _naming(situation: Situation, published: Published) -> tuple[float | None, float | None]:
+    """Return the limit on, and the time under load from the failure until a fault bit of that sensor appears.
+
+    The limit is None where the class sets none or the run ends before it; the time is None if no bit appears.
+    """
     failure = situation.failure
     assert failure is not None
     bits = sum(bit for bit in Fault if (bit.name or "").startswith(f"{failure.sensor.upper()}_"))
     rows = np.flatnonzero((published.t_s > failure.at_s) & (published.faults & bits != 0))
-    if not rows.size:
-        return None
-    steps_s = np.diff(situation.t_s, prepend=0.0)
-    meanwhile = (situation.t_s > failure.at_s) & (situation.t_s <= published.t_s[rows[0]])
-    return float(steps_s[meanwhile & situation.loaded].sum())
+    loaded_s = np.where(situation.loaded, np.diff(situation.t_s, prepend=0.0), 0.0)
+
+    def under_load_s(until_s: float) -> float:
+        return float(loaded_s[(situation.t_s > failure.at_s) & (situation.t_s <= until_s)].sum())
+
+    named_s = under_load_s(published.t_s[rows[0]]) if rows.size else None
+    within_s = failure.within_s
+    if within_s is not None and named_s is None and under_load_s(np.inf) < within_s:
+        within_s = None
+    return within_s, named_s
 
 
 def of_class(runs: Sequence[RunFigures]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from bms_ukf.campaign import spans
 from bms_ukf.campaign.course import Course, cut, prolong
 from bms_ukf.campaign.cuts import HOUR_S, Lot, Mask, measure, place
 from bms_ukf.campaign.situation import Situation
-from bms_ukf.campaign.traces import Trace
 
 BEFORE_S, AFTER_S = 900.0, 2400.0
 SHORTEST_S, LONGEST_S = 10.0, 12 * HOUR_S
@@ -65,7 +64,7 @@ def _at_rest(lot: Lot, gap_s: float) -> Found | None:
     if found is None:
         return None
     trace, row = found
-    end = _rest_end(trace, row)
+    end = row + round(spans.of(trace.name).resting_s[row])
     first = max(row - round(BEFORE_S), 0)
     course = cut(trace, first, end - first + round(AFTER_S))
     missing_s = gap_s - (end - row - 60)
@@ -74,9 +73,3 @@ def _at_rest(lot: Lot, gap_s: float) -> Found | None:
     elif missing_s > 0:
         gap_s = max(gap_s - missing_s, SHORTEST_S)
     return course, float(row - first), gap_s
-
-
-def _rest_end(trace: Trace, row: int) -> int:
-    """Return the row at which the rest around `row` ends."""
-    ends = np.flatnonzero(spans.of(trace.name).rested_s[row:] == 0.0)
-    return row + int(ends[0]) if ends.size else trace.rows

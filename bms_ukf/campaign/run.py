@@ -41,6 +41,7 @@ class Published(NamedTuple):
     faults: NDArray[np.int64]  # (sets,)
     truth: Array  # (sets, cells)
     silent: NDArray[np.bool_]  # (sets,) True while the bus was silent
+    ref_sigma: float  # one sigma of the truth
     flat: bool  # an LFP cell, whose voltage hardly depends on SoC
     covered: bool  # the cell file's tables hold the temperature
 
@@ -111,7 +112,19 @@ def _published(situation: Situation, witness: _Witness, flat: bool, covered: boo
         low, high = honesty.bounds(soc, low)
     truth = np.stack([np.interp(t_s, situation.t_s, column) for column in situation.soc.T], axis=1)
     row = np.minimum(np.searchsorted(situation.t_s, t_s - 1e-6), situation.t_s.size - 1)
-    return Published(t_s, soc, low, high, words[:, 0], words[:, 1], truth, situation.silent[row], flat, covered)
+    return Published(
+        t_s,
+        soc,
+        low,
+        high,
+        words[:, 0],
+        words[:, 1],
+        truth,
+        situation.silent[row],
+        situation.soc_ref_sigma,
+        flat,
+        covered,
+    )
 
 
 def judged(published: Published) -> NDArray[np.intp]:

@@ -34,6 +34,7 @@ class Situation:
     soc: Array  # (rows, cells) true
     loaded: NDArray[np.bool_]  # (rows,) whether a current flows in truth
     true_degC: float  # mean true temperature
+    soc_ref_sigma: float = 0.0  # of the truth itself: a recording's reference has one
     tuning: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     failure: Failure | None = None

@@ -1,6 +1,6 @@
 """Which rows of a trace are rest, drive, constant load or charge: where a situation may be cut.
 
-All times are seconds up to and including a row, 0 where the state does not hold. A trace starts at equilibrium, so a
+Times are seconds up to and including a row, 0 where the state does not hold. A trace starts at equilibrium, so a
 rest that begins with it has lasted for ever.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf.campaign import traces
+from bms_ukf.campaign import library
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,12 +31,13 @@ class Spans(NamedTuple):
     loaded_s: Array  # constant discharge
     charged_s: Array  # constant current or voltage
     driven_s: Array
+    resting_s: Array  # rest from this row on
 
 
 @lru_cache(maxsize=256)
 def of(name: str) -> Spans:
-    """Return the spans of the committed trace of that name."""
-    trace = traces.load(name)
+    """Return the spans of the trace of that name."""
+    trace = library.load(name)
     current_C = trace.current_A / float(trace.capacity_Ah.mean())
     rest = np.abs(current_C) < REST_C
     steady = np.abs(np.diff(current_C, prepend=current_C[:1])) < STEADY_C
@@ -47,6 +48,7 @@ def of(name: str) -> Spans:
         _lasting(steady & (current_C > LOAD_C), trace.step_s),
         _lasting(steady & (current_C < -LOAD_C), trace.step_s),
         _lasting(_unsteady(current_C, trace.step_s), trace.step_s),
+        _lasting(rest[::-1], trace.step_s)[::-1],
     )
 
 

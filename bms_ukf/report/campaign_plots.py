@@ -45,9 +45,9 @@ def render(situation: Situation, published: Published) -> bytes:
 
 def _worst_cell(published: Published) -> int:
     """Return the cell with the most rows beyond three sigmas, or outside, or the first."""
-    far = honesty.beyond(published.low, published.high, published.truth).sum(axis=0)
-    known = np.isfinite(published.soc).sum(axis=0)
-    outside = known - honesty.inside(published.low, published.high, published.truth).sum(axis=0)
+    intervals = published.low, published.high, published.truth, published.ref_sigma
+    far = honesty.beyond(*intervals).sum(axis=0)
+    outside = np.isfinite(published.soc).sum(axis=0) - honesty.inside(*intervals).sum(axis=0)
     return int(np.lexsort((outside, far))[-1])
 
 

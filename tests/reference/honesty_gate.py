@@ -1,6 +1,7 @@
 """The ratchet of the quick campaign: goals that are missed today, each with the value that must not get worse.
 
-`PYTHONPATH=tests/reference python -m honesty_gate` (`make ratchet`) runs the quick campaign and writes the file anew.
+`PYTHONPATH=tests/reference python -m honesty_gate [CLASS...]` (`make ratchet`: all) runs the quick campaign, on all
+committed traces, and writes the file again. With classes it runs those alone, and keeps plants and the other figures.
 A goal that is not in the file must be met. When the file is empty, the ratchet has done its work.
 """
 
@@ -9,10 +10,11 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bms_ukf.campaign import command, goals, view
+from bms_ukf.campaign import classes, command, goals, traces, view
 
 GATE = Path(__file__).resolve().parents[1] / "honesty_gate.toml"
 HEAD = """\
@@ -52,23 +54,32 @@ def broken(summary: dict[str, Any], gate: dict[str, dict[str, float]]) -> list[s
     return lines
 
 
-def text(summary: dict[str, Any]) -> str:
-    """Return the file that holds what a quick campaign misses."""
-    parts = [HEAD, f"plants = {json.dumps(summary['plants'])}\n"]
-    for name, found in summary["classes"].items():
-        if found["missed"]:
-            parts.append(f"\n[{name}]\n" + "".join(f"{figure} = {found[figure]:.2f}\n" for figure in found["missed"]))
-    return "".join(parts)
+def missed(summary: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """Return the figures that a quick campaign misses, by class."""
+    return {name: {key: found[key] for key in found["missed"]} for name, found in summary["classes"].items()}
 
 
-def main() -> int:
-    wanted = command.plan(quick=True)
-    with view.progress(view.console(), len(wanted.tasks)) as watch:
-        summary = command.summary(wanted, command.campaign(wanted, watch=watch))
-    view.show(summary, view.console())
-    GATE.write_text(text(summary), encoding="utf-8")
+def text(plants: Sequence[str], gate: dict[str, dict[str, float]]) -> str:
+    """Return the file that holds a gate."""
+    tables = [_table(name, gate[name]) for name in classes.CLASSES if gate.get(name)]
+    return "".join([HEAD, f"plants = {json.dumps(list(plants))}\n", *tables])
+
+
+def _table(name: str, figures: dict[str, float]) -> str:
+    return f"\n[{name}]\n" + "".join(f"{key} = {value:.2f}\n" for key, value in figures.items())
+
+
+def main(names: Sequence[str]) -> int:
+    plants, gate = (_file()["plants"], held()) if names else (traces.plants(), {})
+    for name in names or [None]:
+        wanted = command.plan(name, quick=True, plants=plants)
+        with view.progress(view.console(), len(wanted.tasks)) as watch:
+            summary = command.summary(wanted, command.campaign(wanted, watch=watch))
+        view.show(summary, view.console())
+        gate |= missed(summary)
+    GATE.write_text(text(plants, gate), encoding="utf-8")
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
