@@ -29,8 +29,8 @@ def test_the_gate_breaks_where_a_goal_is_missed_anew_or_by_more():
     assert not honesty_gate.broken(found, {})
     found["classes"]["rests"]["inside_pct"] = 60.0
     assert honesty_gate.broken(found, {})
-    assert not honesty_gate.broken(found, {"rests": {"inside_pct": 62.0}})
-    assert honesty_gate.broken(found, {"rests": {"inside_pct": 64.0}})
+    assert not honesty_gate.broken(found, {"rests": {"inside_pct": 67.0}})
+    assert honesty_gate.broken(found, {"rests": {"inside_pct": 69.0}})
     found["classes"]["rests"].update(inside_pct=95.0, half_width_pct=6.0)
-    assert honesty_gate.broken(found, {"rests": {"half_width_pct": 5.0}})
-    assert not honesty_gate.broken(found, {"rests": {"half_width_pct": 5.6}})
+    assert honesty_gate.broken(found, {"rests": {"half_width_pct": 4.7}})
+    assert not honesty_gate.broken(found, {"rests": {"half_width_pct": 4.9}})
