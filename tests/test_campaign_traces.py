@@ -65,8 +65,8 @@ def test_all_committed_traces_together_stay_small():
 
 
 @pytest.mark.parametrize("plant", traces.plants())
-def test_every_recipe_of_a_plant_has_its_trace(plant):
-    assert traces.names(plant) == [f"{plant}/{recipe.name}" for recipe in recipes.of(PLANTS[plant])]
+def test_every_trace_of_a_plant_has_its_recipe(plant):
+    assert set(traces.names(plant)) <= {f"{plant}/{recipe.name}" for recipe in recipes.of(PLANTS[plant])}
 
 
 @pytest.mark.parametrize("name", traces.names())

@@ -30,32 +30,35 @@ class Recipe(NamedTuple):
 
 
 def of(plant: CampaignPlant) -> list[Recipe]:
-    """All recipes of a plant: those of every plant, and for the shipped one the cold, the fast and the packs."""
+    """All recipes of a plant: those of every plant, and for the shipped one the cold, the fast and the large pack."""
     recipes = [
         _drive(plant, 25.0, 0.92),
         _drive(plant, 0.0, 0.85),
+        _drive(plant, 10.0, 0.9),
+        _drive(plant, 45.0, 0.95),
         _drive(plant, 25.0, 0.85, aged=True),
         _constant(plant, 25.0),
         _charge(plant, 25.0),
+        _charge(plant, 10.0),
         _mixed(plant, 25.0),
         _long_rest(plant, 0.0, 0.35),
         _long_rest(plant, 40.0, 0.75),
+        _pack(plant, 4, 25.0, 0.9),
     ]
     if plant.maker:
         return recipes
     return [
         *recipes,
-        *(_drive(plant, ambient, soc) for ambient, soc in ((-20.0, 0.85), (-10.0, 0.8), (10.0, 0.9), (45.0, 0.95))),
+        _drive(plant, -20.0, 0.85),
+        _drive(plant, -10.0, 0.8),
         _drive(plant, 0.0, 0.75, aged=True),
         _constant(plant, 0.0),
-        _charge(plant, 10.0),
         _charge(plant, 40.0),
         _charge(plant, 25.0, aged=True),
         _mixed(plant, 10.0),
         _long_rest(plant, -10.0, 0.3),
         _long_rest(plant, 25.0, 0.55),
         _fast(plant),
-        _pack(plant, 4, 25.0, 0.9),
         _pack(plant, 4, 0.0, 0.7),
         _pack(plant, 96, 25.0, 0.7),
     ]
