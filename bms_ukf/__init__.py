@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from bms_ukf.estimator import Estimator
     from bms_ukf.filter import Filter
     from bms_ukf.records import Estimate, Fault, Sample, Status
-    from bms_ukf.sensor_spec import SensorSpec
     from bms_ukf.tuning import Tuning
     from bms_ukf.wiring import Wiring
 
@@ -24,7 +23,6 @@ __all__ = [
     "Filter",
     "PlantError",
     "Sample",
-    "SensorSpec",
     "Status",
     "Tuning",
     "Wiring",
@@ -41,7 +39,6 @@ _HOMES = {
     "Filter": "filter",
     "PlantError": "errors",
     "Sample": "records",
-    "SensorSpec": "sensor_spec",
     "Status": "records",
     "Tuning": "tuning",
     "Wiring": "wiring",

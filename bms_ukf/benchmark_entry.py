@@ -37,7 +37,6 @@ SOURCES = (
     "py.typed",
     "records.py",
     "resources.py",
-    "sensor_spec.py",
     "toml.py",
     "tuning.py",
     "wiring.py",

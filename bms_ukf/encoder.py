@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bms_ukf.dbc import Field, own_matrix
+from bms_ukf.fault_bits import FaultBits
 from bms_ukf.frames import Frame, Outbox
 from bms_ukf.records import NAN, Detail, Estimate, PerCell, Status, largest_known, mean_known
 
@@ -46,7 +47,7 @@ class Encoder:
         self._nis = field_of("SocQuality.Nis").insert()
 
         self._state_box = Outbox(matrix.message("BmsState"))
-        self._faults_shift = field_of("BmsState.FaultCurrentMissing").shift  # the others follow, as in records.Fault
+        self._faults = FaultBits()
         self._stored_shift = field_of("BmsState.StoredState").shift
         self._soc_min = field_of("BmsState.SocMin").insert(0.01)
         self._soc_max = field_of("BmsState.SocMax").insert(0.01)
@@ -93,7 +94,7 @@ class Encoder:
         """BmsState: fault bits, what became of a stored belief, lowest and highest SoC of the cells."""
         soc = estimate.soc if estimate.status in _AVAILABLE else NAN
         lowest, highest = (soc, soc) if isinstance(soc, float) else (-largest_known(-soc), largest_known(soc))
-        word = int(estimate.faults) << self._faults_shift | detail.stored << self._stored_shift
+        word = self._faults.insert(estimate.faults) | detail.stored << self._stored_shift
         word |= self._soc_min(lowest) | self._soc_max(highest)
         return self._state_box.frame(word, accepted)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bms_ukf import beliefs
+from bms_ukf import beliefs, shown
 from bms_ukf.cell import CellParams
 from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params
@@ -24,28 +24,9 @@ from bms_ukf.records import Estimate, Fault, Sample, Status
 from bms_ukf.tuning import Tuning
 from bms_ukf.wiring import Wiring
 
-_STATUS = tuple(Status)
-_HIDDEN = tuple(status in {Status.INITIALISING, Status.INVALID} for status in Status)  # no SoC that could be shown
-_FIRST_SHOWN, _FIRST_INVALID = (status << STATUS_SHIFT for status in (Status.OK, Status.INVALID))  # of a cell's codes
-_FAULTS = tuple(Fault(bits) for bits in range(2 * max(Fault)))  # making one costs more than the filter step
 _NUMERIC = int(Fault.NUMERIC)
 _BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; numbers follow
-_MAGIC = b"BMSUKF03"
-
-# The results of a cell that an Estimate shows: its fields, and their rows of the kernel's `io`.
-_SHOWN = {
-    "soc": layout.OUT_SOC,
-    "soc_sigma": layout.OUT_SOC_SIGMA,
-    "voltage_pred_V": layout.OUT_VOLTAGE_PRED,
-    "innovation_V": layout.OUT_INNOVATION,
-    "innovation_var_V2": layout.OUT_INNOVATION_VAR,
-    "nis": layout.OUT_NIS,
-    "age_s": layout.OUT_AGE,
-    "current_bias_A": layout.OUT_BIAS,
-    "r0_ohm": layout.OUT_R0,
-}
-_SOC_ROWS = {layout.OUT_SOC, layout.OUT_SOC_SIGMA}
-_COMPARISON = ("voltage_pred_V", "innovation_V", "innovation_var_V2", "nis")
+_MAGIC = b"BMSUKF04"
 
 
 class Estimator(PerCell):
@@ -109,12 +90,12 @@ class Estimator(PerCell):
 
         A sample older than the last one is refused whole (`Fault.TIME_REVERSED`): the belief stays as it was.
         """
-        estimate = self._blank() if out is None else out
+        estimate = shown.blank(self.cells) if out is None else out
         last_ns = self.t_ns
         dt = 0.0 if last_ns is None else (sample.t_ns - last_ns) / 1e9
         if dt < 0.0:
             self._read(estimate, self._code)
-            self._clear_comparison(estimate)
+            shown.clear_comparison(estimate)
             estimate.faults |= Fault.TIME_REVERSED
             if estimate.status is Status.OK:
                 estimate.status = Status.DEGRADED
@@ -149,12 +130,12 @@ class Estimator(PerCell):
             current_A = math.nan
             self._io[layout.IN_CURRENT] = math.nan if strings_A is None else strings_A[self.wiring.string_of]
         if sample.open_circuit:
-            strings, shown, offset = self.wiring.string_of is not None, self._io[layout.IN_CURRENT], layout.OUT_BIAS
-            self._io[layout.IN_OFFSET] = shown if strings else current_A
+            strings, reading, offset = self.wiring.string_of is not None, self._io[layout.IN_CURRENT], layout.OUT_BIAS
+            self._io[layout.IN_OFFSET] = reading if strings else current_A
             if not self._form.bias:
                 current_A, self._io[layout.IN_CURRENT] = 0.0, math.nan
             elif strings:  # a reading that is missing: what the sensor would show
-                self._io[layout.IN_CURRENT] = np.where(np.isnan(shown), self._io[offset], shown)
+                self._io[layout.IN_CURRENT] = np.where(np.isnan(reading), self._io[offset], reading)
             elif math.isnan(current_A):
                 current_A = float(np.mean(self._io[offset]))
         return current_A
@@ -221,9 +202,9 @@ class Estimator(PerCell):
         run(params, state, io.ctypes.data, len(time), spans.ctypes.data, currents.ctypes.data)
         code = io[:, layout.OUT_CODE].astype(np.int64)
         status, faults = code >> STATUS_SHIFT, code & FAULT_MASK
-        results = {name: io[:, row].astype(float) for name, row in _SHOWN.items()}
-        for name in ("soc", "soc_sigma"):
-            results[name][np.array(_HIDDEN)[status]] = np.nan
+        results = {name: io[:, row].astype(float) for name, row in shown.SHOWN.items()}
+        for name in shown.SOC_FIELDS:
+            results[name][np.array(shown.HIDDEN)[status]] = np.nan
         if len(time):
             self._io[:, 0] = io[-1]
             self.t_ns, self._code = int(time[-1]), int(code[-1])
@@ -257,41 +238,8 @@ class Estimator(PerCell):
         return hashlib.sha256(bytes(self._form) + self._params.tobytes() + wired).digest()
 
     def _read(self, estimate: Estimate, code: int) -> None:
-        status = code >> STATUS_SHIFT
         estimate.t_ns = self.t_ns or 0
-        estimate.status, estimate.faults = _STATUS[status], _FAULTS[code & FAULT_MASK]
-        hidden = _HIDDEN[status]
-        if self.cells > 1:
-            for name, row in _SHOWN.items():
-                getattr(estimate, name)[:] = self._io[row]
-            if status != Status.OK:
-                codes = self._io[layout.OUT_CODE]  # NaN before the first step
-                shown = (codes >= _FIRST_SHOWN) & (codes < _FIRST_INVALID) & (not hidden)
-                estimate.soc[~shown] = estimate.soc_sigma[~shown] = math.nan  # type: ignore[index]
-            return
-        row = self._row
-        if hidden:
-            estimate.soc = estimate.soc_sigma = math.nan
-        else:
-            estimate.soc = row[layout.OUT_SOC]
-            estimate.soc_sigma = row[layout.OUT_SOC_SIGMA]
-        estimate.voltage_pred_V = row[layout.OUT_VOLTAGE_PRED]
-        estimate.innovation_V = row[layout.OUT_INNOVATION]
-        estimate.innovation_var_V2 = row[layout.OUT_INNOVATION_VAR]
-        estimate.nis = row[layout.OUT_NIS]
-        estimate.age_s = row[layout.OUT_AGE]
-        estimate.current_bias_A = row[layout.OUT_BIAS]
-        estimate.r0_ohm = row[layout.OUT_R0]
-
-    def _clear_comparison(self, estimate: Estimate) -> None:
-        """Nothing was compared: the values of the last comparison would be counted twice."""
-        for name in _COMPARISON:
-            if self.cells == 1:
-                setattr(estimate, name, math.nan)
-            else:
-                getattr(estimate, name)[:] = math.nan
-
-    def _blank(self) -> Estimate:
         if self.cells == 1:
-            return Estimate()
-        return Estimate(**{name: np.full(self.cells, math.nan) for name in _SHOWN})  # type: ignore[arg-type]
+            shown.show_cell(self._row, code, estimate)
+        else:
+            shown.show_pack(self._io, code, estimate)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from bms_ukf.dbc import Field, own_matrix
+from bms_ukf.fault_bits import FaultBits
 from bms_ukf.frames import Frame, Inbox, Outbox, Pages
-from bms_ukf.records import Estimate, Fault, Sample, Status
+from bms_ukf.records import Estimate, Sample, Status
 
 
 class SampleEncoder:
@@ -80,7 +81,7 @@ class EstimateDecoder(Inbox[Estimate]):
         self._voltage_pred = field_of("SocQuality.PredictedVoltage").extract()
         self._innovation = field_of("SocQuality.Innovation").extract()
         self._nis = field_of("SocQuality.Nis").extract()
-        self._faults_shift = field_of("BmsState.FaultCurrentMissing").shift
+        self._faults = FaultBits()
         self._open = Estimate()
         super().__init__(
             {
@@ -104,8 +105,7 @@ class EstimateDecoder(Inbox[Estimate]):
         self._open.innovation_V, self._open.nis = self._innovation(data), self._nis(data)
 
     def _read_state(self, data: bytes, _: int) -> None:
-        self._open.faults = Fault(int.from_bytes(data, "little") >> self._faults_shift & _ALL_FAULTS)
+        self._open.faults = self._faults.extract(data)
 
 
 _STATUSES = frozenset(Status)
-_ALL_FAULTS = sum(Fault)

@@ -21,9 +21,9 @@ class Status(IntEnum):
     """How far an estimate is to be trusted. The same numbers in the DBC, the FMU and the C header."""
 
     INITIALISING = 0  # not every signal has been seen yet: SoC is not available
-    OK = 1
-    DEGRADED = 2  # predicting without voltage, or on a faulty input: sigma is honest, but grows
-    INVALID = 3  # no SoC that could be defended: not available
+    OK = 1  # no fault, and the interval is no wider than ok_half_width allows
+    DEGRADED = 2  # a SoC with its interval, but a fault is set
+    INVALID = 3  # the interval is wider than invalid_half_width allows: SoC is not available
 
     @property
     def word(self) -> str:
@@ -78,6 +78,8 @@ class Fault(IntFlag):
     BUS = 1 << 11  # frames lost, or not sent
     CURRENT_SIGN = 1 << 12  # voltage rises with the current: the sign of one of them is wrong
     CURRENT_SCALE = 1 << 13  # voltage steps are far from what the current's steps and the cell's resistance explain
+    UNCERTAIN = 1 << 14  # half of the 95 % interval of SoC is wider than ok_half_width
+    CURRENT_FAILED = 1 << 15  # the current sensor reads a value that the voltage contradicts: dead, stuck or clipped
 
 
 @dataclass(slots=True)
@@ -116,8 +118,8 @@ class Estimate:
     """What is known after a sample. For a pack every `PerCell` field is an array of shape (cells,)."""
 
     t_ns: int = 0
-    soc: PerCell = NAN  # 0..1, clamped for publication; NaN while initialising or invalid
-    soc_sigma: PerCell = NAN  # one standard deviation of `soc`
+    soc: PerCell = NAN  # 0..1, mean of the posterior truncated to 0..1; NaN while initialising or invalid
+    soc_sigma: PerCell = NAN  # (soc_high - soc_low) / 3.92
     voltage_pred_V: PerCell = NAN  # predicted before the voltage was fused
     innovation_V: PerCell = NAN  # measured minus predicted; NaN if no voltage came
     innovation_var_V2: PerCell = NAN
@@ -127,6 +129,8 @@ class Estimate:
     faults: Fault = Fault.NONE
     current_bias_A: PerCell = NAN  # what the current sensor shows too much, positive = discharge; NaN: not estimated
     r0_ohm: PerCell = NAN  # ohmic resistance in the direction of the current, as tracked
+    soc_low: PerCell = NAN  # 2.5 % quantile of SoC, 0..1; NaN where `soc` is
+    soc_high: PerCell = NAN  # 97.5 % quantile
 
 
 def mean_known(values: PerCell) -> float:

@@ -20,6 +20,7 @@ COUNTED = {"Nis", "WorstCell", "MinCell", "MaxCell", "DischargeCell", "ChargeCel
 COUNTED |= {"CapacityCell", "CapacitySegments", "ResistanceCell", "HealthCell"}
 MEASURED = {key: s for key, s in SIGNALS.items() if s.unit or key[1] in COUNTED}
 NAMES = [message.name for message in MESSAGES]
+FAULTS = [name for _, name in SIGNALS if name.startswith("Fault")]
 
 
 def rows(first_heading: str) -> list[list[str]]:
@@ -46,12 +47,14 @@ def test_words_and_numbers_of_a_stored_state_are_those_of_the_records() -> None:
     assert {int(number): str(word) for number, word in choices.items()} == {s.value: s.word for s in Stored}
 
 
-def test_fault_bits_follow_each_other_as_in_the_records() -> None:
-    first = SIGNALS["BmsState", "FaultCurrentMissing"].start
-    for k, fault in enumerate(Fault):
+def test_fault_bits_follow_each_other_as_in_the_records_before_and_after_the_stored_state() -> None:
+    stored = SIGNALS["BmsState", "StoredState"]
+    later = stored.start + stored.length
+    places = [*range(12, stored.start), later, later + 1]
+    for k, (fault, place) in enumerate(zip(Fault, places, strict=True)):
         name = "Fault" + "".join(part.capitalize() for part in str(fault.name).split("_"))
         signal = SIGNALS["BmsState", name]
-        assert (signal.start, signal.length, fault.value) == (first + k, 1, 1 << k)
+        assert (signal.start, signal.length, fault.value) == (place, 1, 1 << k)
     assert sum(name.startswith("Fault") for _, name in SIGNALS) == len(Fault)
 
 
@@ -147,7 +150,7 @@ def belongs(name: str, listed: str) -> bool:
     if not last:
         return name == first
     if first.startswith("Fault"):
-        return name.startswith("Fault")
+        return name in FAULTS[FAULTS.index(first) : FAULTS.index(last) + 1]
     prefix = first.rstrip("0123456789")
     return bool(re.fullmatch(rf"{prefix}\d+", name)) and int(name[len(prefix) :]) <= int(last[len(prefix) :])
 

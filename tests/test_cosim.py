@@ -145,7 +145,7 @@ def test_a_plant_that_does_not_know_its_soc_is_followed_without_a_score():
 
 def test_a_summary_without_an_estimate_at_the_end_is_json_too():
     short = {"segments": [{"current_A": 1.0, "duration_s": 30.0}]}
-    hidden = {"cell": "lgm50_chen2020", "tuning": {"soc_sigma_invalid": 1e-6}}
+    hidden = {"cell": "lgm50_chen2020", "tuning": {"invalid_half_width": 1e-6}}
     _, summary = run(load=short, estimator=hidden)
     assert json.loads(json.dumps(summary, allow_nan=False))["final_soc"] is None
     assert summary["soc_sigma_final"] is None

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 
-from bms_ukf import Estimate, Estimator, Fault, Sample, Status, Tuning
+from bms_ukf import Estimate, Estimator, Fault, Sample, Status, Tuning, shown
 from bms_ukf.kernel import layout
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
@@ -30,6 +30,8 @@ PER_CELL = (
     "age_s",
     "current_bias_A",
     "r0_ohm",
+    "soc_low",
+    "soc_high",
 )
 
 
@@ -115,7 +117,7 @@ def test_dt_is_the_difference_of_the_times_wherever_they_start():
 
 
 def test_nothing_is_published_until_initialised_and_what_is_invalid_is_not():
-    estimator = Estimator(CELL, tuning=Tuning(soc_sigma_invalid=0.05))
+    estimator = Estimator(CELL, tuning=Tuning(invalid_half_width=0.1))
     first = estimator.step(Sample(0, 1.0))
     assert first.status is Status.INITIALISING
     assert math.isnan(first.soc)
@@ -125,26 +127,29 @@ def test_nothing_is_published_until_initialised_and_what_is_invalid_is_not():
     assert wide.status is Status.INVALID
     assert math.isnan(wide.soc)
     assert math.isnan(wide.soc_sigma)
+    assert math.isnan(wide.soc_low)
+    assert math.isnan(wide.soc_high)
     for k in range(600):
         narrow = estimator.step(Sample(k * SECOND, 1.0, 3.01, 25.0))
     assert narrow.status is Status.OK
     assert 0 <= narrow.soc <= 1
     assert 0 < narrow.soc_sigma <= 0.05
+    assert 0 <= narrow.soc_low < narrow.soc < narrow.soc_high <= 1
 
 
 @pytest.mark.parametrize(("start", "current", "published"), [(0.01, 10.0, 0.0), (0.99, -5.0, 1.0)])
-def test_soc_is_clamped_for_publication_only(start, current, published):
+def test_soc_is_truncated_for_publication_only(start, current, published):
     estimator = Estimator(CELL, tuning=Tuning(initial_soc=start, initial_soc_sigma=0.01))
     ocv = float(CELL.ocv_V(start, 25.0))
     estimator.step(Sample(0, 0.0, ocv, 25.0))
     for k in range(1, 200):
         estimate = estimator.step(Sample(k * SECOND, current, NAN, 25.0))
-    assert estimate.soc == published
+    assert abs(estimate.soc - published) < estimate.soc_high - estimate.soc_low < 0.02
     inside = estimator._state[0, estimator._form.x, 0]
     assert abs(inside - published) > 0.01
     for k in range(200, 300):  # were it clamped inside, this charge would move it off the edge
         estimate = estimator.step(Sample(k * SECOND, -0.1 * current, NAN, 25.0))
-    assert estimate.soc == published
+    assert abs(estimate.soc - published) < estimate.soc_high - estimate.soc_low < 0.02
 
 
 def test_an_estimate_says_why():
@@ -310,7 +315,7 @@ def test_no_cells_is_refused():
 @pytest.mark.parametrize("cells", [1, 4])
 def test_out_is_filled_and_returned(cells):
     filling, making = Estimator(CELL, cells), Estimator(CELL, cells)
-    out = filling._blank()
+    out = shown.blank(filling.cells)
     for sample in drive(5, cells):
         assert filling.step(sample, out=out) is out
         assert values(out) == values(making.step(sample))

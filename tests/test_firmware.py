@@ -119,7 +119,7 @@ def test_a_float32_object_computes_nothing_in_double(exported, cell):
 
 def test_flash_ram_and_stack_are_within_what_a_small_microcontroller_has(exported):
     target, _, cost = exported
-    assert cost.flash < (24_000 if target == "cortex-m7" else 26_000)
+    assert cost.flash < (25_000 if target == "cortex-m7" else 27_000)
     assert cost.ram_cell < 512
     assert 100 < cost.stack < 512
 
@@ -173,7 +173,7 @@ def test_float64_for_a_machine_without_doubles_names_what_its_compilers_library_
 
 def test_the_header_has_every_status_and_every_fault_the_kernel_can_report():
     assert set(STATUSES) == set(Status)
-    daemons_own = Fault.E2E | Fault.BUS | Fault.CURRENT_SIGN | Fault.CURRENT_SCALE
+    daemons_own = Fault.E2E | Fault.BUS | Fault.CURRENT_SIGN | Fault.CURRENT_SCALE | Fault.CURRENT_FAILED
     assert set(FAULTS) == set(~daemons_own & Fault(2 * max(Fault) - 1))
 
 

@@ -10,7 +10,7 @@ import pytest
 from drives import CELL, steady
 from model_cell import ModelCell
 
-from bms_ukf import Estimator, Fault, Sample, Status, Tuning, Wiring
+from bms_ukf import Estimator, Fault, Sample, Status, Tuning, Wiring, shown
 from bms_ukf.pack import Health, Limits, Pack, PackEstimate
 
 NAN = float("nan")
@@ -198,7 +198,7 @@ def test_a_cell_takes_less_than_two_kilobytes():
     cells = 1000
     tracemalloc.start()
     estimator = Estimator(STEADY, cells)
-    kept = Pack(estimator), Health(estimator), estimator._blank()
+    kept = Pack(estimator), Health(estimator), shown.blank(estimator.cells)
     taken = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert kept

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drives import CELL, steady, terminal
 
-from bms_ukf import Estimate, Estimator, Fault, Sample, SensorSpec, Status, Tuning, Wiring
+from bms_ukf import Estimate, Estimator, Fault, Sample, Status, Tuning, Wiring
 from bms_ukf.scaling import scaled
 
 NAN = float("nan")
@@ -73,7 +73,7 @@ def test_a_scan_in_parts_is_that_of_each_cell_alone():
 
 
 def test_a_cell_that_has_become_invalid_hides_itself_only():
-    pack = Estimator(CELL, 2, Tuning(soc_sigma_invalid=0.1, cell_spread_sigma=0.2))
+    pack = Estimator(CELL, 2, Tuning(invalid_half_width=0.2, cell_spread_sigma=0.2))
     for k in range(120):
         estimate = pack.step(Sample(k * SECOND, current(k), np.array([voltage(k), NAN]), 25.0))
     assert pack.cell_status.tolist() == [Status.OK, Status.INVALID]
@@ -83,8 +83,7 @@ def test_a_cell_that_has_become_invalid_hides_itself_only():
 
 @pytest.mark.parametrize("parallel", [3.0, 0.5])
 def test_a_parallel_group_by_its_scales_is_the_larger_cell(parallel: float):
-    spec = SensorSpec(current_offset_A=0.196)
-    tuning = Tuning(current_bias=False, sensor_spec=spec, initial_current_sigma_A=0.1, adaptive=False)
+    tuning = Tuning(current_bias=False, current_offset_sigma_A=0.1, initial_current_sigma_A=0.1, adaptive=False)
     group, cell = Estimator(CELL, 2, tuning), Estimator(scaled(CELL, parallel), tuning=tuning)
     group.capacity_scale, group.resistance_scale = parallel, 1 / parallel
     for k in range(300):

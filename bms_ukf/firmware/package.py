@@ -27,7 +27,7 @@ HELD_DIGITS = 1e-6  # relative: what float32 makes of a number may differ by 6e-
 
 RESULTS = {
     "SOC": "0 .. 1; NAN while initialising or invalid",
-    "SOC_SIGMA": "one standard deviation of it",
+    "SOC_SIGMA": "(SOC_HIGH - SOC_LOW) / 3.92; NAN where SOC is",
     "VOLTAGE_PRED": "V, predicted before the voltage was used; NAN here and below: none was compared",
     "INNOVATION": "V, measured minus predicted",
     "INNOVATION_VAR": "V^2",
@@ -36,12 +36,14 @@ RESULTS = {
     "BIAS": "A, what the current sensor shows too much, positive = discharge; NAN: not estimated",
     "R0": "ohm, ohmic resistance in the direction of the current, as tracked",
     "CODE": "status and faults of this cell alone, as bms_ukf_step returns those of all",
+    "SOC_LOW": "0 .. 1, the 2.5 % quantile of SoC; NAN where SOC is",
+    "SOC_HIGH": "0 .. 1, the 97.5 % quantile",
 }
 STATUSES = {
     Status.INITIALISING: "not every signal has been seen yet: no SoC",
-    Status.OK: "to be trusted as far as its sigma says",
-    Status.DEGRADED: "predicting without voltage, or on a faulty input: sigma is honest, but grows",
-    Status.INVALID: "no SoC that could be defended",
+    Status.OK: "no fault: the truth lies between SOC_LOW and SOC_HIGH with a probability of 95 %",
+    Status.DEGRADED: "a SoC with its bounds, but a fault is set",
+    Status.INVALID: "half of the interval is above {tuning.invalid_half_width:g}: no SoC",
 }
 FAULTS = {  # those that the kernel can report; `tuning` is that of the export
     Fault.CURRENT_MISSING: "none for longer than {tuning.current_timeout_s:g} s: no charge is counted",
@@ -54,6 +56,7 @@ FAULTS = {  # those that the kernel can report; `tuning` is that of the export
     Fault.TIME_REVERSED: "older than the sample before it: refused whole",
     Fault.NUMERIC: "a step gave a value that is not finite: refused whole, the state is kept",
     Fault.OUT_OF_TABLE: "SoC or temperature beyond the cell's tables: extrapolated",
+    Fault.UNCERTAIN: "half of SOC_HIGH - SOC_LOW is above {tuning.ok_half_width:g}",
 }
 
 
@@ -99,7 +102,7 @@ def export(
         "temperature_min": numbers[layout.P_TEMPERATURE_MIN],
         "temperature_max": numbers[layout.P_TEMPERATURE_MAX],
         "results": [(name, getattr(layout, f"OUT_{name}"), text) for name, text in RESULTS.items()],
-        "statuses": [(status.name, int(status), text) for status, text in STATUSES.items()],
+        "statuses": [(status.name, int(status), text.format(tuning=tuning)) for status, text in STATUSES.items()],
         "faults": [(fault.name, int(fault), text.format(tuning=tuning)) for fault, text in FAULTS.items()],
         "status_shift": STATUS_SHIFT,
         "fault_mask": FAULT_MASK,

@@ -100,14 +100,15 @@ def sample(
 
 @inline
 def result(s: Any, cell: int, row: int, m: Any, cells: int) -> Any:
-    """A cell's number in an `OUT_*` row, NaN if there is none; SoC and its sigma only if the cell has one to show."""
+    """A cell's number in an `OUT_*` row, NaN if there is none; SoC, sigma and bounds only if the cell shows a SoC."""
     if row < k.OUT_SOC or row >= k.IO_ROWS or cell < 0 or cell >= cells:
         return real(s, math.nan)
     io = HEADER + cells * m.size + cell
     of_all, own = words(s)[B_CODE] >> STATUS_SHIFT, s[io + cells * k.OUT_CODE]
     own = INITIALISING if math.isnan(own) else whole(own) >> STATUS_SHIFT
     hidden = (of_all == INITIALISING) | (of_all == INVALID) | (own == INITIALISING) | (own == INVALID)
-    return real(s, math.nan) if hidden & (row <= k.OUT_SOC_SIGMA) else s[io + cells * row]
+    of_soc = (row == k.OUT_SOC) | (row == k.OUT_SOC_SIGMA) | (row == k.OUT_SOC_LOW) | (row == k.OUT_SOC_HIGH)
+    return real(s, math.nan) if hidden & of_soc else s[io + cells * row]
 
 
 class CFunction(NamedTuple):

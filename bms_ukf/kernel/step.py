@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel import adapt, belief, bias, idle, inputs, ohmic, process, voltage
+from bms_ukf.kernel import adapt, belief, bias, idle, inputs, interval, ohmic, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
@@ -20,8 +20,9 @@ from bms_ukf.records import Fault, Status
 
 NUMERIC = float(Fault.NUMERIC)
 OUT_OF_TABLE = float(Fault.OUT_OF_TABLE)
+UNCERTAIN = float(Fault.UNCERTAIN)
 INITIALISING, OK, DEGRADED, INVALID = (int(status) for status in Status)
-STATUS_SHIFT = 16
+STATUS_SHIFT = 20  # codes pass through numbers: a float32 holds 24 bits
 FAULT_MASK = (1 << STATUS_SHIFT) - 1
 
 SOC_SLACK = 0.02  # how far SoC may wander beyond 0..1 before it is called out of the table
@@ -62,7 +63,9 @@ def step(
         belief.doubt(p, w, y, m, lanes)
     inputs.missing(p, w, y, m, lanes)
     refuse(s, o, w, y, m, lanes)
-    judge(p, w, y, m, lanes)
+    bound(p, w, y, m, lanes)
+    interval.describe(w, y, m, lanes)
+    judge(p, y, m, lanes)
     publish(w, y, io, first, rows, m, lanes)
     return commit(s, o, w, y, m, lanes)
 
@@ -112,7 +115,7 @@ def update(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
 def settle(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
     """Commit one record, or leave it as it was; returns its fault bits."""
     refuse(s, 0, w, y, m, 1)
-    judge(p, w, y, m, 1)
+    bound(p, w, y, m, 1)
     return commit(s, 0, w, y, m, 1) & FAULT_MASK
 
 
@@ -158,8 +161,8 @@ def refuse(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
 
 
 @inline
-def judge(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """Keep beliefs within their bounds and give each lane its status."""
+def bound(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Keep beliefs within their bounds, and note which of them read tables beyond their edges."""
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
     slack, beyond, least = real(p, SOC_SLACK), real(p, SOC_BEYOND), p[k.P_SOC_SIGMA_MIN]
@@ -173,9 +176,21 @@ def judge(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         within = (p[k.P_TABLE_TEMPERATURE_MIN] <= T) & (p[k.P_TABLE_TEMPERATURE_MAX] >= T)
         within = within & (-slack <= soc) & (soc <= one + slack)
         code = y[W * k.Y_CODE + c]
-        code += real(p, OUT_OF_TABLE) if alive & (not within) & (code != real(p, NUMERIC)) else zero
+        y[W * k.Y_CODE + c] += real(p, OUT_OF_TABLE) if alive & (not within) & (code != real(p, NUMERIC)) else zero
+
+
+@inline
+def judge(p: Any, y: Any, m: Any, lanes: int) -> None:
+    """Give each lane its status, from its faults and the width of the interval to be published."""
+    W = m.lanes
+    zero, most, worst = real(p, 0), p[k.P_OK_HALF_WIDTH], p[k.P_INVALID_HALF_WIDTH]
+    for c in range(lanes):
+        alive = y[W * k.Y_ALIVE + c] > zero
+        half = (y[W * k.Y_SOC_HIGH + c] - y[W * k.Y_SOC_LOW + c]) * real(p, 0.5)
+        code = y[W * k.Y_CODE + c]
+        code += real(p, UNCERTAIN) if alive & (half > most) else zero
         status = real(p, OK << STATUS_SHIFT) if code == zero else real(p, DEGRADED << STATUS_SHIFT)
-        status = real(p, INVALID << STATUS_SHIFT) if sigma > p[k.P_SOC_SIGMA_INVALID] else status
+        status = real(p, INVALID << STATUS_SHIFT) if half > worst else status
         status = status if alive else real(p, INITIALISING << STATUS_SHIFT)
         y[W * k.Y_CODE + c] = code + status
 
@@ -184,13 +199,12 @@ def judge(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
 def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) -> None:
     """Write the lanes' results."""
     W = m.lanes
-    zero, one, nan = real(w, 0), real(w, 1), real(w, math.nan)
+    zero, nan = real(w, 0), real(w, math.nan)
     for c in range(lanes):
         innovation = y[W * k.Y_INNOVATION + c]
         variance = y[W * k.Y_VARIANCE + c]
         predicted = y[W * k.Y_PREDICTED + c]
         compared = is_number(innovation) & (y[W * k.Y_ALIVE + c] > zero)
-        y[W * k.Y_SOC + c] = clamp(w[W * (m.x + k.SOC) + c], zero, one)
         y[W * k.Y_PREDICTED + c] = predicted if compared else nan
         y[W * k.Y_INNOVATION + c] = innovation if compared else nan
         y[W * k.Y_VARIANCE + c] = variance if compared else nan
@@ -201,7 +215,9 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
         y[W * k.Y_R0 + c] = r0 if y[W * k.Y_ALIVE + c] > zero else nan
     # A row at a time: rows that might overlap would take more checks than LLVM is ready to make.
     show(io, rows * k.OUT_SOC + first, y, W * k.Y_SOC, lanes)
-    show(io, rows * k.OUT_SOC_SIGMA + first, w, W * m.root, lanes)
+    show(io, rows * k.OUT_SOC_SIGMA + first, y, W * k.Y_SOC_SIGMA, lanes)
+    show(io, rows * k.OUT_SOC_LOW + first, y, W * k.Y_SOC_LOW, lanes)
+    show(io, rows * k.OUT_SOC_HIGH + first, y, W * k.Y_SOC_HIGH, lanes)
     show(io, rows * k.OUT_VOLTAGE_PRED + first, y, W * k.Y_PREDICTED, lanes)
     show(io, rows * k.OUT_INNOVATION + first, y, W * k.Y_INNOVATION, lanes)
     show(io, rows * k.OUT_INNOVATION_VAR + first, y, W * k.Y_VARIANCE, lanes)

@@ -42,6 +42,8 @@ FAULTS = {
     Fault.BUS: "frames lost or not sent",
     Fault.CURRENT_SIGN: "the sign of the current is wrong",
     Fault.CURRENT_SCALE: "the scale of the current is wrong",
+    Fault.UNCERTAIN: "the interval of SoC is wide",
+    Fault.CURRENT_FAILED: "the current sensor has failed",
 }
 SOURCES = {
     Source.NONE: "nothing",

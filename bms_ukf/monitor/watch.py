@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bms_ukf.dbc import Extract, Field, own_matrix
 from bms_ukf.decoder import Decoder
 from bms_ukf.encoder import HEALTH
+from bms_ukf.fault_bits import FaultBits
 from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
@@ -150,7 +151,7 @@ class Watch:
             elif signal.name not in skipped and not signal.name.startswith("Fault"):
                 values[signal.name] = Field(message, signal).extract()
         raws = {name: found.raw() for name, found in words.items()}
-        first = message.name == "BmsState" and Field(*own_matrix().find("BmsState.FaultCurrentMissing")).shift
+        faults = FaultBits()
 
         def read(data: bytes, _: int) -> bool:
             for name, extract in values.items():
@@ -163,7 +164,7 @@ class Watch:
                 self.source = _member(Source, self.values["Source"], Source.NONE)
             elif message.name == "BmsState":
                 self.stored = _member(Stored, self.values["StoredState"], Stored.NONE)
-                self.faults = Fault(int.from_bytes(data, "little") >> int(first) & sum(Fault))
+                self.faults = faults.extract(data)
             return True
 
         return read

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf import CellParams, Fault, Status, Tuning
-from bms_ukf.kernel import adapt, ecm, inputs, layout, ohmic, process
+from bms_ukf.kernel import adapt, ecm, inputs, interval, layout, ohmic, process
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.params import aligned, params
 
@@ -41,12 +41,19 @@ def layout_header() -> str:
         (adapt, ("SCALE_S", "SCALE_MAX", "STEP_MAX_S", "R0_SIGMA", "R0_TAU_S", "R0_STEP_S", "R0_CURRENT_S")),
         (adapt, ("R0_ELSE", "R0_LEAST", "R0_MOST", "R0_BLOCK_S", "R0_ALONE_S", "VOLTAGE_ERROR_S")),
         (policy, ("STATUS_SHIFT", "SOC_SLACK", "SOC_BEYOND")),
+        (interval, ("HALF_WIDTHS", "TAIL", "FAR", "SQRT_TWO_PI")),
     ):
         constants |= {name: getattr(module, name) for name in names}
     constants |= {f"FAULT_{fault.name}": int(fault) for fault in Fault}
     constants |= {f"STATUS_{status.name}": int(status) for status in Status}
-    constants["ASINH"] = "{" + ", ".join(map(repr, ecm.ASINH)) + "}"
+    constants["ASINH"] = _initialiser(ecm.ASINH)
+    for name in ("LOW", "HIGH", "MEAN", "QUANTILE"):
+        constants[f"INTERVAL_{name}"] = "{" + ", ".join(map(_initialiser, getattr(interval, name))) + "}"
     return "".join(f"#define {name} {value}\n" for name, value in constants.items())
+
+
+def _initialiser(numbers: tuple[float, ...]) -> str:
+    return "{" + ", ".join(map(repr, numbers)) + "}"
 
 
 @functools.cache

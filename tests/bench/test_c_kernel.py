@@ -42,7 +42,7 @@ def test_a_pack_in_c_follows_the_estimator(hysteresis: bool, bits: int) -> None:
     drive = Drive(cell, PACK)
     estimator = Estimator(cell, PACK, TUNING, f"f{bits}")
     pack = CKernel(cell, TUNING, bits, PACK)
-    shown = [layout.OUT_SOC, layout.OUT_SOC_SIGMA, layout.OUT_R0]
+    shown = [layout.OUT_SOC, layout.OUT_SOC_SIGMA, layout.OUT_SOC_LOW, layout.OUT_SOC_HIGH, layout.OUT_R0]
     t_ns = 0
     for k in range(STEPS):
         t_ns += round(drive.dt[k] * 1e9)
@@ -72,7 +72,7 @@ def test_what_overflows_in_c_is_refused_whole(hysteresis: bool, bits: int) -> No
     estimator.step(Sample(0, 1.0, 3.6, 25.0))
     single.step(0.0, 1.0, 3.6, 25.0)
     n = 3 + hysteresis
-    in_c, results = 19 + n + n + 1, -4  # sqrt_P[1, 1]; what was held comes first, and the results last
+    in_c, results = 19 + n + n + 1, -8  # sqrt_P[1, 1]; what was held comes first, and the results last
     root = estimator._state[0, estimator._form.root + 2]
     assert root[0] == pytest.approx(single.cell[in_c], rel=1e-5)
     root[0] = single.cell[in_c] = 1e200 if bits == 64 else 1e30

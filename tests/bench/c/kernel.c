@@ -285,20 +285,80 @@ INLINE bool sound(const struct belief *b, real voltage_age)
     return total - total == 0;
 }
 
-/* Faults and status, of a record whose `soc` and `sigma` are not yet bounded. */
-INLINE whole judge(const real *p, real soc, real sigma, real T, whole faults, bool alive)
+INLINE real horner(const double *c, int count, real x)
 {
-    const bool inside = within(p, P_TABLE_TEMPERATURE_MIN, T) & (soc >= -R(SOC_SLACK)) & (soc <= 1 + R(SOC_SLACK));
-    faults |= (alive & !inside & (faults != FAULT_NUMERIC)) ? FAULT_OUT_OF_TABLE : 0;
-    whole status = faults == 0 ? STATUS_OK : STATUS_DEGRADED;
-    status = sigma > p[P_SOC_SIGMA_INVALID] ? STATUS_INVALID : status;
-    return faults | (alive ? status : STATUS_INITIALISING) << STATUS_SHIFT;
+    real value = R(c[count - 1]);
+    for (int k = count - 2; k >= 0; k--)
+        value = value * x + R(c[k]);
+    return value;
 }
 
-INLINE void bound(const real *p, real *soc, real *sigma)
+static const double LOW[2][6] = INTERVAL_LOW, HIGH[2][6] = INTERVAL_HIGH, MEAN[2][6] = INTERVAL_MEAN;
+static const double QUANTILE[2][4] = INTERVAL_QUANTILE;
+
+INLINE real ratio(const double of[2][6], real x) { return horner(of[0], 5, x) / horner(of[1], 6, x); }
+
+/* Probability that a standard Gaussian lies below z; its density there in *density. */
+INLINE real below(real z, real *density)
 {
+    const real size = fabs(z), tail = (*density = exp(-z * z / 2) * R(1 / SQRT_TWO_PI)) / (size + ratio(MEAN, size));
+    return z < 0 ? tail : 1 - tail;
+}
+
+INLINE real quantile(real probability)
+{
+    const real r = probability - R(0.5);
+    return r * horner(QUANTILE[0], 4, r * r) / horner(QUANTILE[1], 4, r * r);
+}
+
+struct shown { real soc, sigma, low, high; };
+
+INLINE bool is_near(real mean, real sigma) { return (mean < R(FAR) * sigma) | (1 - mean < R(FAR) * sigma); }
+
+/* What is published of a Gaussian, truncated to 0..1. */
+static struct shown truncated(real mean, real sigma)
+{
+    const real half = R(HALF_WIDTHS) * sigma;
+    struct shown of = {mean, sigma, mean - half, mean + half};
+    if (!is_near(mean, sigma))
+        return of;
+    const bool most = mean > R(0.5);
+    const real away = least(mean, 1 - mean), a = -away / sigma, b = (1 - away) / sigma;
+    real soc = sigma * ratio(MEAN, a), low = sigma * ratio(LOW, a), high = sigma * ratio(HIGH, a);
+    if (b < R(FAR)) {
+        real at_a, at_b;
+        const real below_a = below(a, &at_a), below_b = below(b, &at_b), inside = below_b - below_a;
+        soc = away + sigma * (at_a - at_b) / inside;
+        low = away + sigma * quantile(below_a + R(TAIL) * inside);
+        high = away + sigma * quantile(below_b - R(TAIL) * inside);
+    }
+    low = clamp(low, 0, 1);
+    high = clamp(high, 0, 1);
+    soc = clamp(soc, low, high);
+    of.sigma = (high - low) / R(2 * HALF_WIDTHS);
+    of.soc = most ? 1 - soc : soc;
+    of.low = most ? 1 - high : low;
+    of.high = most ? 1 - low : high;
+    return of;
+}
+
+/* Keeps a record's SoC and sigma within their bounds; returns its fault. */
+INLINE whole bound(const real *p, real *soc, real *sigma, real T, whole faults, bool alive)
+{
+    const bool inside = within(p, P_TABLE_TEMPERATURE_MIN, T) & (*soc >= -R(SOC_SLACK)) & (*soc <= 1 + R(SOC_SLACK));
     *soc = clamp(*soc, -R(SOC_BEYOND), 1 + R(SOC_BEYOND));
     *sigma = *sigma < p[P_SOC_SIGMA_MIN] ? p[P_SOC_SIGMA_MIN] : *sigma;
+    return (alive & !inside & (faults != FAULT_NUMERIC)) ? FAULT_OUT_OF_TABLE : 0;
+}
+
+/* Faults and status. */
+INLINE whole judge(const real *p, real low, real high, whole faults, bool alive)
+{
+    const real half = (high - low) / 2;
+    faults |= (alive & (half > p[P_OK_HALF_WIDTH])) ? FAULT_UNCERTAIN : 0;
+    whole status = faults == 0 ? STATUS_OK : STATUS_DEGRADED;
+    status = half > p[P_INVALID_HALF_WIDTH] ? STATUS_INVALID : status;
+    return faults | (alive ? status : STATUS_INITIALISING) << STATUS_SHIFT;
 }
 
 INLINE whole missing(const real *p, real current_age, real gap, real voltage_age, real temperature_age)
@@ -459,8 +519,13 @@ int cell_step(const real *p, struct cell *cell, double dt_s, double current_A, d
         c = *cell;
         c.voltage_pred = c.innovation = c.innovation_var = c.nis = R(NAN);
     }
-    const whole code = judge(p, c.belief.x[0], c.belief.root[0][0], c.temperature, faults, alive);
-    bound(p, &c.belief.x[0], &c.belief.root[0][0]);
+    faults |= (int)bound(p, &c.belief.x[0], &c.belief.root[0][0], c.temperature, faults, alive);
+    const struct shown of = truncated(c.belief.x[0], c.belief.root[0][0]);
+    const whole code = judge(p, of.low, of.high, faults, alive);
+    c.soc = of.soc;
+    c.sigma = of.sigma;
+    c.low = of.low;
+    c.high = of.high;
     *cell = c;
     return (int)code;
 }
@@ -470,8 +535,8 @@ int cell_replay(const real *p, struct cell *cell, long n, const real *samples, r
     int code = 0;
     for (long k = 0; k < n; k++, samples += SAMPLE, results += RESULT) {
         code = cell_step(p, cell, (double)samples[0], (double)samples[1], (double)samples[2], (double)samples[3]);
-        results[0] = clamp(cell->belief.x[0], 0, 1);
-        results[1] = cell->belief.root[0][0];
+        results[0] = cell->soc;
+        results[1] = cell->sigma;
         results[2] = cell->nis;
     }
     return code;
@@ -598,6 +663,7 @@ struct work {
     real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
     real r0[LANES], ohmic[LANES], drop[LANES], drop_sigma[LANES], since_heard[LANES], g[3][LANES];
     real predicted[LANES], innovation[LANES], variance[LANES], per_variance[LANES], r[LANES], crowded[LANES];
+    real sigma[LANES], low[LANES], high[LANES]; /* published, with `soc` */
 };
 
 static void take_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y,
@@ -817,10 +883,25 @@ static void judge_lanes(const real *restrict p, struct lanes *restrict w, struct
                     ((real *)w)[k] = ((const real *)s)[k];
                 y->predicted[c] = y->innovation[c] = y->variance[c] = R(NAN);
             }
+    whole near = 0;
     EACH_LANE {
-        y->code[c] = judge(p, w->x[0][c], w->root[0][c], w->temperature[c], y->code[c], y->alive[c] != 0);
-        bound(p, &w->x[0][c], &w->root[0][c]);
+        y->code[c] |= bound(p, &w->x[0][c], &w->root[0][c], w->temperature[c], y->code[c], y->alive[c] != 0);
+        const real mean = w->x[0][c], sigma = w->root[0][c], half = R(HALF_WIDTHS) * sigma;
+        y->soc[c] = mean;
+        y->sigma[c] = sigma;
+        y->low[c] = mean - half;
+        y->high[c] = mean + half;
+        near |= is_near(mean, sigma) ? 1 : 0;
     }
+    if (near)
+        for (int c = 0; c < LANES; c++) {
+            const struct shown of = truncated(w->x[0][c], w->root[0][c]);
+            y->soc[c] = of.soc;
+            y->sigma[c] = of.sigma;
+            y->low[c] = of.low;
+            y->high[c] = of.high;
+        }
+    EACH_LANE y->code[c] = judge(p, y->low[c], y->high[c], y->code[c], y->alive[c] != 0);
     *s = *w;
 }
 
@@ -828,8 +909,10 @@ static void publish(const struct lanes *restrict s, const struct work *restrict 
                     int count)
 {
     for (int c = 0; c < count; c++) {
-        out[OUT_SOC * cells + c] = clamp(s->x[0][c], 0, 1);
-        out[OUT_SOC_SIGMA * cells + c] = s->root[0][c];
+        out[OUT_SOC * cells + c] = y->soc[c];
+        out[OUT_SOC_SIGMA * cells + c] = y->sigma[c];
+        out[OUT_SOC_LOW * cells + c] = y->low[c];
+        out[OUT_SOC_HIGH * cells + c] = y->high[c];
         out[OUT_VOLTAGE_PRED * cells + c] = y->predicted[c];
         out[OUT_INNOVATION * cells + c] = y->innovation[c];
         out[OUT_INNOVATION_VAR * cells + c] = y->variance[c];

@@ -54,6 +54,7 @@ struct cell {
     struct adapted adapted;
     struct belief belief;
     real voltage_pred, innovation, innovation_var, nis; /* of the last step; NaN: nothing compared */
+    real soc, sigma, low, high; /* published */
 };
 
 /* The same for LANES cells, and their rows of the dynamics table. */
