@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from bms_ukf.estimator import Estimator
     from bms_ukf.filter import Filter
     from bms_ukf.records import Estimate, Fault, Sample, Status
+    from bms_ukf.sensor_spec import SensorSpec
     from bms_ukf.tuning import Tuning
     from bms_ukf.wiring import Wiring
 
@@ -23,6 +24,7 @@ __all__ = [
     "Filter",
     "PlantError",
     "Sample",
+    "SensorSpec",
     "Status",
     "Tuning",
     "Wiring",
@@ -39,6 +41,7 @@ _HOMES = {
     "Filter": "filter",
     "PlantError": "errors",
     "Sample": "records",
+    "SensorSpec": "sensor_spec",
     "Status": "records",
     "Tuning": "tuning",
     "Wiring": "wiring",

@@ -37,6 +37,7 @@ SOURCES = (
     "py.typed",
     "records.py",
     "resources.py",
+    "sensor_spec.py",
     "toml.py",
     "tuning.py",
     "wiring.py",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from bms_ukf import resources, toml
 from bms_ukf.alignment import Alignment
@@ -22,7 +22,9 @@ from bms_ukf.pace import Pace
 from bms_ukf.pack import Health, Limits
 from bms_ukf.pack_output import CELL_SOC_PERIOD_S, PackOutput
 from bms_ukf.scaling import scaled
-from bms_ukf.signals import Bound, Sign, SignalMap
+from bms_ukf.sensor_spec import SensorSpec
+from bms_ukf.signal_scale import check_scale, resolutions
+from bms_ukf.signals import Sign, SignalMap
 from bms_ukf.tuning import Tuning
 from bms_ukf.units import BASE
 from bms_ukf.wiring import Wiring
@@ -132,7 +134,25 @@ class Config(toml.Document):
     recorder: Recorder | None = None
     metrics: Metrics | None = None
     log: Log = Field(default_factory=Log)
+    sensor_spec: SensorSpec | None = None  # None: that of [estimator]
     estimator: Tuning = Field(default_factory=Tuning)
+
+    @field_validator("estimator")
+    @classmethod
+    def _one_sensor_spec(cls, estimator: Tuning, info: ValidationInfo) -> Tuning:
+        if info.data.get("sensor_spec") is not None and "sensor_spec" in estimator.model_fields_set:
+            raise ValueError("no sensor_spec in it beside the table [sensor_spec]")
+        return estimator
+
+    def tuning(self, cell: CellParams | None, source: Path) -> Tuning:
+        """Return [estimator] with [sensor_spec]. Raises ConfigError naming `source` if `cell` contradicts it."""
+        if self.sensor_spec is None:
+            tuning, key = self.estimator, "estimator.sensor_spec"
+        else:
+            tuning, key = self.estimator.model_copy(update={"sensor_spec": self.sensor_spec}), "sensor_spec"
+        if cell is not None:
+            tuning.check(cell, source, key)
+        return tuning
 
 
 class Setup:
@@ -148,8 +168,11 @@ class Setup:
         if config.signals is not None:
             for bound in self.decoder.bound:
                 if bound.role in BASE:
-                    _check_scale(bound, self.cell, source)
+                    check_scale(bound, self.cell, source)
                 self.warnings += [bound.warning] if bound.warning else []
+        tuning = config.tuning(self.cell, source)
+        spec = tuning.sensor_spec.with_resolution(resolutions(self.decoder.bound))
+        self.tuning = tuning.model_copy(update={"sensor_spec": spec})
 
     @property
     def pace(self) -> Pace:
@@ -165,17 +188,17 @@ class Setup:
 
     def intake(self) -> Intake:
         """The way in for frames of that bus."""
-        signals, tuning = self.config.signals, self.config.estimator
+        signals = self.config.signals
         if signals is None:
             return Intake(self.decoder)
-        sigma_A = tuning.current_offset_sigma_A or self.cell.cell.capacity_Ah / 50
+        sigma_A = self.tuning.sensor_spec.current_offset_sigma_A(self.cell.cell.capacity_Ah)
         circuit = OpenCircuit(3 * sigma_A) if signals.contactor is not None else None
         lag = signals.lag_s
         return Intake(self.decoder, circuit, Alignment(lag.current, lag.voltage, lag.temperature))
 
     def estimator(self) -> Estimator:
         """One that has seen nothing."""
-        return Estimator(self.cell, self.config.cells, self.config.estimator, wiring=self.wiring)
+        return Estimator(self.cell, self.config.cells, self.tuning, wiring=self.wiring)
 
     def pack_output(self, estimator: Estimator) -> PackOutput | None:
         """What is published beyond the SoC; None: nothing, as of a single cell unless it is configured."""
@@ -248,25 +271,3 @@ class Setup:
         named = signals.model_dump(exclude={"dbc", "lag_s", "e2e"})
         roles = SignalMap(**named, e2e=protected, bleed_A=pack.bleed_A)
         return Decoder(roles, matrix, cells=cells, wired=sensor_of is not None, source=self.source)
-
-
-def _check_scale(bound: Bound, cell: CellParams, source: Path) -> None:
-    """ConfigError if a signal cannot say what that cell's current, voltage or temperature are like."""
-    limits = cell.cell
-    low, high = {
-        "current": (0.0, 0.1 * limits.capacity_Ah),
-        "voltage": (limits.voltage_limits_V[0], limits.voltage_limits_V[1]),
-        "temperature": (20.0, 30.0),
-    }[bound.role]
-    coarsest = {"current": limits.capacity_Ah, "voltage": 0.1, "temperature": 10.0}[bound.role]
-    reaches = bound.lowest <= low and high <= bound.highest
-    if bound.role == "current":  # of a sensor that sees one direction only
-        reaches |= bound.lowest <= -high and bound.highest >= 0.0
-    if not reaches or (bound.bit > coarsest and not bound.is_float):
-        unit = {"current": "A", "voltage": "V", "temperature": "degC"}[bound.role]
-        says = f"{bound.lowest:g} to {bound.highest:g}, {bound.bit:g} a bit"
-        expected = (
-            f"{low:g} to {high:g} {unit} in bits below {coarsest:g} for each {limits.name}; it can say {says} "
-            f"(see unit, series_cells, parallel_cells, capacity_scale)"
-        )
-        raise ConfigError(source, key=f"signals.{bound.role}", value=bound.name, expected=expected)

@@ -102,7 +102,9 @@ def _estimator(scenario: Scenario, path: Path) -> Estimator:
     if scenario.cells > 1:
         raise ConfigError(path, key="cells", value=scenario.cells, expected="1: bms-ukf hil is for several")
     cell_path = resources.find(scenario.estimator.cell, "cells", ".toml", relative_to=path.parent)
-    return Estimator(CellParams.load(cell_path), tuning=scenario.estimator.tuning)
+    cell, tuning = CellParams.load(cell_path), scenario.estimator.tuning
+    tuning.check(cell, path, "estimator.tuning.sensor_spec")
+    return Estimator(cell, tuning=tuning)
 
 
 def _link(scenario: Scenario, path: Path, estimator: Estimator) -> Link:

@@ -63,7 +63,7 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
 
     tuning, noise = Tuning(), cell.noise
     rc_sigmas_V = voltage_sigmas(cell)
-    error_V = math.hypot(noise.voltage_sigma_V, tuning.voltage_sensor_sigma_V, *rc_sigmas_V)
+    error_V = math.hypot(noise.voltage_sigma_V, math.sqrt(tuning.voltage_white_var_V2), *rc_sigmas_V)
     curve = Curve(cell, temperature_degC)
     weights = unscented.scaled(1 + len(rc_sigmas_V), tuning.alpha, tuning.beta, tuning.kappa)
     bias = {name: _bias(curve, soc, times * sigma, rc_sigmas_V, weights) for name, times in SIZES.items()}
@@ -91,7 +91,7 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
         "positive_definite": _positive_definite(
             1 + len(rc_sigmas_V),
             1e3 * (bias["medium"]["ukf"]["mean_V"] - curve.at(soc)),
-            1e6 * (noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2),
+            1e6 * (noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2),
             tuning,
         ),
         "observability": [_observability(curve, at, error_V) for at in np.linspace(0, 1, SLOPE_POINTS).tolist()],

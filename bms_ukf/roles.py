@@ -1,12 +1,15 @@
-"""A signal map in words: what `bms-ukf run --check` says of each role."""
+"""Signals and sensors in words, for `bms-ukf run --check`: a line for each role, then the sensor specification."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bms_ukf.cell import CellParams
 from bms_ukf.config import Signals
 from bms_ukf.dbc import protection
+from bms_ukf.sensor_spec import BOUND_SIGMAS
 from bms_ukf.signals import Bound
+from bms_ukf.tuning import Tuning
 from bms_ukf.units import BASE
 
 _SHOWN = 3  # of many signals of one role
@@ -22,6 +25,26 @@ def explained(bound: Sequence[Bound], signals: Signals | None) -> list[str]:
         if len(told) < len(here):
             lines.insert(len(lines) - 1, f"  … {len(here) - len(told)} more …")
     return lines
+
+
+def sensors_explained(tuning: Tuning, cell: CellParams) -> list[str]:
+    """Return the lines about errors of the sensors, their resolution, and the doubt of the capacity."""
+    spec = tuning.sensor_spec
+    offset_A = BOUND_SIGMAS * spec.current_offset_sigma_A(cell.cell.capacity_Ah)
+    steps = (
+        ("current", spec.current_resolution_A, "A"),
+        ("voltage", spec.voltage_resolution_V, "V"),
+        ("temperature", spec.temperature_resolution_K, "K"),
+    )
+    return [
+        f"sensors, 95 % bounds: voltage ± {1e3 * spec.voltage_offset_V:g} mV ± {100 * spec.voltage_gain:g} %, "
+        f"current ± {offset_A:.3g} A ± {100 * spec.current_gain:g} %, temperature ± {spec.temperature_K:g} K, "
+        f"current and voltage measured within {spec.skew_s:g} s",
+        "sensors, resolution: "
+        + ", ".join(f"{name} {step:g} {unit}" if step else f"{name} exact" for name, step, unit in steps)
+        + f"; voltage noise {1e3 * tuning.voltage_noise_V:g} mV (one sigma)",
+        f"capacity of the cell file ± {100 * BOUND_SIGMAS * tuning.capacity_doubt:.3g} % (95 % bound)",
+    ]
 
 
 def _number(bound: Bound, count: int) -> str:

@@ -150,7 +150,8 @@ class Service:
         """ConfigError, with everything as it was, if that cannot be done."""
         old, new = self._setup.config, setup.config
         if _fixed(self._setup) != _fixed(setup):
-            expected = "cell, cells, wiring, balancing or not, health and [estimator] as before: restart to change them"
+            expected = "cell, cells, wiring, balancing or not, health, sensors and [estimator] as before: "
+            expected += "restart to change them"
             raise ConfigError(self._path, expected=expected)
         witness = self.daemon.witness if old.recorder == new.recorder else self._recorder_of(setup)
         if old.metrics != new.metrics:
@@ -223,6 +224,7 @@ def _explanation(setup: Setup) -> str:
         "signals of the project's own bms.dbc" if signals is None else f"signals of {', '.join(signals.dbc)}",
         *roles.explained(setup.decoder.bound, signals),
     ]
+    lines += roles.sensors_explained(setup.tuning, setup.cell)
     lines += _pack_explained(setup)
     if config.health:
         kept = "kept with the state" if config.state is not None else "not kept: there is no [state]"
@@ -256,7 +258,7 @@ def _fixed(setup: Setup) -> tuple[object, ...]:
     """What an estimator is made of."""
     config, wired = setup.config, [getattr(setup.wiring, key) for key in setup.wiring.__slots__]
     of = tuple(None if indices is None else tuple(indices) for indices in wired)
-    return setup.cell, config.cells, config.estimator, of, setup.decoder.balancing is not None, config.health
+    return setup.cell, config.cells, setup.tuning, of, setup.decoder.balancing is not None, config.health
 
 
 def _place(name: str, source: Path) -> Path:

@@ -15,6 +15,7 @@ from cantools.database.can import Message
 from bms_ukf import candidates
 from bms_ukf.candidates import Candidate
 from bms_ukf.dbc import Field, Matrix
+from bms_ukf.sensor_spec import SensorSpec
 from bms_ukf.units import Quantity, known
 
 _SHOWN = 6  # candidates beside the one proposed
@@ -49,6 +50,8 @@ def propose(paths: Sequence[Path], out: Path | None = None) -> tuple[str, list[s
         'interface = "socketcan"',
         'channel = "can0"',
         "",
+        *_sensors(),
+        "",
         "[signals]",
         f"dbc = {json.dumps(names)}",
         current_lines[0],
@@ -62,6 +65,20 @@ def propose(paths: Sequence[Path], out: Path | None = None) -> tuple[str, list[s
     for message in dict.fromkeys(candidate.message for candidate in mapped):
         lines += _protection(message)
     return "\n".join(lines) + "\n", gaps
+
+
+def _sensors() -> list[str]:
+    """The table [sensor_spec] as a comment, each key with its default."""
+    lines = ["# How far off your sensors are, as 95 % bounds. These are the defaults; see models/configs/example.toml."]
+    lines.append("# [sensor_spec]")
+    for name, field in SensorSpec.model_fields.items():
+        if field.default is not None:
+            lines.append(f"# {name} = {field.default:g}")
+        elif name == "current_offset_A":
+            lines.append(f"# {name} = 0.1   # default: a fiftieth of the capacity in Ah")
+        else:
+            lines.append(f"# {name} = 0.01   # default: the scale of the signal in the DBC")
+    return lines
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -16,6 +16,7 @@ class Section(BaseModel):
     """A table of a TOML format: unknown keys, NaN, infinity and numbers written as text are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+    replaced: ClassVar[dict[str, str]] = {}  # keys of earlier versions, and what stands in their place
 
 
 class Document(Section):
@@ -60,7 +61,11 @@ def validate(data: dict[str, Any], model: type[M], source: str | Path) -> M:
 
 def _expected(mistake: dict[str, Any], model: type[BaseModel]) -> str:
     if mistake["type"] == "extra_forbidden":
-        known = _keys_at(model, mistake["loc"][:-1])
+        tables = _tables_at(model, mistake["loc"][:-1])
+        for table in tables:
+            if new := getattr(table, "replaced", {}).get(mistake["loc"][-1]):
+                return f"no such key: {new}"
+        known = _keys_of(tables)
         near = get_close_matches(str(mistake["loc"][-1]), known, n=1)
         return f"no such key (did you mean {near[0]}?)" if near else f"no such key (known: {', '.join(known)})"
     if mistake["type"] == "union_tag_invalid":
@@ -73,13 +78,17 @@ def _expected(mistake: dict[str, Any], model: type[BaseModel]) -> str:
     return text
 
 
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """The keys of the table at a location, whose parts are keys, indices and the `kind` of one of several tables."""
+def _tables_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
+    """The tables that may stand at a location, whose parts are keys, indices and the `kind` of one of several."""
     tables = [model]
     for part in map(str, location):
         of_kind = [table for table in tables if part in get_args(_annotation(table, "kind"))]
         inside = [nested for table in tables for nested in _models(_annotation(table, part))]
         tables = of_kind or inside or tables
+    return tables
+
+
+def _keys_of(tables: list[type[BaseModel]]) -> list[str]:
     return list(dict.fromkeys(field.alias or name for table in tables for name, field in table.model_fields.items()))
 
 

@@ -124,7 +124,7 @@ def scales(estimator: Estimator, steps: int, noise_V: float, start: int) -> list
 
 def test_the_voltage_error_grows_while_the_model_errs_more_and_comes_back():
     estimator = Estimator(CELL, tuning=Tuning(current_bias=False))
-    own = math.hypot(CELL.noise.voltage_sigma_V, Tuning().voltage_sensor_sigma_V)
+    own = math.hypot(CELL.noise.voltage_sigma_V, Tuning().voltage_noise_V)
     as_told, worse = scales(estimator, 1800, own, 0), scales(estimator, 1800, 4 * own, 1800)
     after = scales(estimator, 1800, own, 3600)
     assert max(as_told) < 2

@@ -15,7 +15,7 @@ from bms_ukf.kernel import layout, srukf
 from bms_ukf.kernel.layout import Form, form
 from bms_ukf.kernel.memory import pointer
 
-SIGMA_A = CELL.cell.capacity_Ah / 50  # of an offset, before anything is known of it
+SIGMA_A = CELL.cell.capacity_Ah / 50 / 1.96  # of an offset, before anything is known of it
 NAN = math.nan
 
 

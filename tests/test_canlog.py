@@ -13,6 +13,7 @@ import pytest
 from model_cell import ModelCell
 
 from bms_ukf import ConfigError, Estimator, Sample, Status
+from bms_ukf.config import Setup
 from bms_ukf.framelog import FrameLog
 from bms_ukf.node import SampleEncoder
 from bms_ukf.replay import canlog, logs
@@ -60,7 +61,7 @@ def logged(tmp_path: Path, drive) -> Callable[..., Path]:
 
 def test_a_log_gives_what_the_estimator_alone_says_of_its_samples(logged, config, cell, drive):
     trace, summary = canlog.rerun(logged(), config)
-    alone = Estimator(cell)
+    alone = Estimator(cell, tuning=Setup.load(config).tuning)
     known = [alone.step(sample) for sample in drive]
     assert len(trace) == len(drive)
     np.testing.assert_allclose(trace["soc"], [e.soc for e in known], atol=1e-6)

@@ -13,7 +13,7 @@ import pytest
 from e2e.crc import calculate_crc8_h2f
 from pydantic import BaseModel
 
-from bms_ukf import ConfigError, Fault, Status, Tuning, resources, roles, service, toml
+from bms_ukf import ConfigError, Fault, SensorSpec, Status, Tuning, resources, roles, service, toml
 from bms_ukf.bus import SafeBus
 from bms_ukf.clock import LockstepClock
 from bms_ukf.config import Bus, Config, Lags, Metrics, PackUse, Recorder, Setup, Signals, State
@@ -64,7 +64,9 @@ def test_the_example_works_with_the_dbc_beside_it():
     assert (sample.t_ns, sample.current_A) == (7, -12.5), "positive is charge there, and discharge here"
 
 
-@pytest.mark.parametrize("model", [Config, Bus, Signals, PackUse, Lags, E2e, Crc, Metrics, Recorder, State, Tuning])
+@pytest.mark.parametrize(
+    "model", [Config, Bus, Signals, PackUse, Lags, E2e, Crc, Metrics, Recorder, State, SensorSpec, Tuning]
+)
 def test_the_example_shows_every_key(model: type[BaseModel]):
     text = EXAMPLE.read_text(encoding="utf-8")
     shown = set(re.findall(r"(?:^(?:# )?\[?|[.{,] ?)(\w+)(?=[.\]]| = )", text, flags=re.MULTILINE))
@@ -135,8 +137,9 @@ def test_the_example_refuses_a_frame_with_a_wrong_crc_or_counter_and_reads_a_rig
     assert (decoder.counters.crc, decoder.counters.counter, decoder.counters.accepted) == (1, 1, 1)
 
 
-def test_what_the_example_sets_in_the_estimator_is_the_default():
-    assert toml.load(EXAMPLE, Config).estimator == Tuning()
+def test_what_the_example_sets_in_the_estimator_and_of_the_sensors_is_the_default():
+    example = toml.load(EXAMPLE, Config)
+    assert (example.estimator, example.sensor_spec) == (Tuning(), SensorSpec())
 
 
 def test_the_shortest_config_expects_the_projects_own_messages(config):
@@ -175,6 +178,9 @@ def test_check_tells_what_every_role_is_read_from():
         "voltage",
         "temperature",
         "contactor",
+        "sensors, 95 % bounds",
+        "sensors, resolution",
+        "capacity of the cell file ± 9.8 % (95 % bound)",
         "pack",
         "capacity and resistance of each cell told from its use, kept with the state",
         f"state stored in {EXAMPLE.parent / 'bms-ukf.state'} every 10 s",

@@ -28,7 +28,7 @@ def kalman(cell: CellParams, given: Signals, told: Told) -> tuple[np.ndarray, np
     noise, Q_As, tuning = cell.noise, 3600 * cell.cell.capacity_Ah, Tuning()
     r, tau = np.array([at["r1_ohm"], at["r2_ohm"]]), np.array([at["tau1_s"], at["tau2_s"]])
     own_var = np.array([noise.v_rc1_sigma_V, noise.v_rc2_sigma_V]) ** 2
-    offset_A = cell.cell.capacity_Ah / 50
+    offset_A, gain = cell.cell.capacity_Ah / 50 / 1.96, np.hypot(0.005 / 1.96, 0.01)
     first = given.current_A[0]
     x = np.array([told.soc, *(r * first / 2)])
     P = np.diag([told.sigma**2, *(own_var + r**2 * ((cell.cell.capacity_Ah / 20) ** 2 + first**2 / 4))])
@@ -39,13 +39,13 @@ def kalman(cell: CellParams, given: Signals, told: Told) -> tuple[np.ndarray, np
         a = np.exp(-dt / tau)
         efficiency = cell.cell.coulombic_efficiency if i < 0 else 1.0
         shift = offset_A * np.array([r[0], r[1] + at["r0_ohm"]])
-        walk = ((offset_A / Q_As) ** 2 + (tuning.current_gain_sigma * i / Q_As) ** 2) * tuning.current_error_horizon_s
+        walk = ((offset_A / Q_As) ** 2 + (gain * i / Q_As) ** 2) * tuning.current_error_horizon_s
         F = np.diag([1.0, *a])
         x = F @ x + np.array([-efficiency * i * dt / Q_As, *((1 - a) * r * i)])
         P = F @ P @ F.T + np.diag([walk * dt, *((1 - a**2) * (own_var + (noise.rc_rel_sigma * r * i) ** 2 + shift**2))])
         if np.isfinite(given.voltage_V[k]):
             drop = at["r0_ohm"] * i
-            R = noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2 + (noise.r0_rel_sigma * drop) ** 2
+            R = noise.voltage_sigma_V**2 + tuning.voltage_noise_V**2 + (noise.r0_rel_sigma * drop) ** 2
             K = P @ H / (H @ P @ H + R)
             x = x + K * (given.voltage_V[k] - (3.0 + H @ x - drop))
             P = (np.eye(3) - np.outer(K, H)) @ P

@@ -69,7 +69,7 @@ def test_each_cell_of_a_pack_is_found_to_be_what_it_is_whatever_the_sensor_shows
 
 def test_what_the_sensors_gain_may_be_wrong_by_is_not_averaged_away(pack):
     health, _ = pack
-    assert (health.capacity_sigma > health.estimator.tuning.current_gain_sigma * 0.9).all()
+    assert (health.capacity_sigma > health.estimator.tuning.sensor_spec.current_gain_sigma * 0.9).all()
 
 
 def test_a_resistance_is_found_by_the_steps_of_the_load_and_a_fresh_one_stays():

@@ -192,8 +192,8 @@ def simulate(tuning: Tuning, cell: CellParams, cells: int, steps: int, seed: int
     for k in range(steps):
         if k > 0:
             current = 1.0 + 2.0 * math.sin(k / 30)
-            offset = cell.cell.capacity_Ah / 50
-            walk = (offset**2 + (0.01 * current) ** 2) * tuning.current_error_horizon_s / charge**2
+            offset, gain = cell.cell.capacity_Ah / 50 / 1.96, math.hypot(0.005 / 1.96, 0.01)
+            walk = (offset**2 + (gain * current) ** 2) * tuning.current_error_horizon_s / charge**2
             efficiency = cell.cell.coulombic_efficiency if current < 0 else 1.0
             soc = soc - efficiency * current / charge + math.sqrt(walk) * rng.standard_normal(cells)
             for v, r, tau, own in (
@@ -204,7 +204,7 @@ def simulate(tuning: Tuning, cell: CellParams, cells: int, steps: int, seed: int
                 error = math.hypot(own, noise.rc_rel_sigma * r * current) * math.sqrt(1 - a * a)
                 v[:] = a * v + (1 - a) * r * current + error * rng.standard_normal(cells)
         drop = r0 * knee * math.asinh(current / knee)
-        white = math.hypot(noise.voltage_sigma_V, tuning.voltage_sensor_sigma_V, noise.r0_rel_sigma * drop)
+        white = math.hypot(noise.voltage_sigma_V, tuning.voltage_noise_V, noise.r0_rel_sigma * drop)
         voltage = np.interp(soc, table, ocv) - v1 - v2 - drop + white * rng.standard_normal(cells)
         estimate = estimator.step(Sample(k * 10**9, current, voltage, 25.0))
         rows.append((soc, estimate.soc, estimate.soc_sigma, estimate.nis))

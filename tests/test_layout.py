@@ -28,7 +28,8 @@ MAY_IMPORT = {
     "toml": {"errors"},
     "pchip": set(),
     "cell": {"errors", "pchip", "records", "resources", "toml"},
-    "tuning": {"errors", "toml"},
+    "sensor_spec": {"cell", "errors", "toml"},
+    "tuning": {"cell", "errors", "sensor_spec", "toml"},
     "kernel": {"cell", "errors", "kernel", "pchip", "records", "tuning"},
     "wiring": set(),
     "beliefs": {"kernel"},
@@ -71,7 +72,7 @@ MAY_IMPORT = {
     "expectations": {"expectations", "faults", "honesty", "plant", "records", "toml", "trace"},
     "hil": CODEC
     | {"bus", "clock", "config", "daemon", "errors", "estimator", "expectations", "faults", "hil", "node", "plant"}
-    | {"records", "resources", "scenario", "sensors", "slots", "state"},
+    | {"cell", "records", "resources", "scenario", "sensors", "slots", "state"},
     "pytest_plugin": {"ConfigError", "bus", "config", "hil", "plant", "scenario"},
     "scaling": {"cell"},
     "open_circuit": {"records"},
@@ -81,7 +82,8 @@ MAY_IMPORT = {
     "intake": {"alignment", "decoder", "frames", "open_circuit", "records"},
     "e2e_settings": {"dbc", "e2e", "errors", "toml"},
     "candidates": {"dbc", "units"},
-    "skeleton": {"candidates", "dbc", "units"},
+    "skeleton": {"candidates", "dbc", "sensor_spec", "units"},
+    "signal_scale": {"cell", "errors", "signals"},
     "socketcan": set(),
     "seldom": set(),
     "logsetup": {"toml"},
@@ -141,7 +143,7 @@ KNOWN_TO = {
 }
 # Time is data and the outside world is elsewhere, for the estimator and all below it.
 PURE = {"records", "errors", "resources", "toml", "pchip", "cell", "tuning", "kernel", "estimator", "filter"}
-PURE |= {"wiring", "beliefs", "percell", "pack"}
+PURE |= {"sensor_spec", "wiring", "beliefs", "percell", "pack"}
 IMPURE = {"can", "cantools", "fmpy", "time", "datetime", "logging", "socket", "threading", "asyncio"}
 
 SOURCES = [".ci", ".github", "bms_ukf", "can", "models", "tests"]

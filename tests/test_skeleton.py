@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bms_ukf import ConfigError
+from bms_ukf import ConfigError, SensorSpec
 from bms_ukf.config import Setup
 from bms_ukf.skeleton import propose
 
@@ -159,3 +159,14 @@ def test_a_dbc_without_a_battery_is_told_so_for_every_role(vehicles, tmp_path) -
     (tmp_path / "can.toml").write_text(text)
     with pytest.raises(ConfigError, match=r"signals.current: expected this key, which is missing"):
         Setup.load(tmp_path / "can.toml")
+
+
+def test_the_sensor_specification_stands_in_the_skeleton_with_its_defaults_and_is_valid_there(tmp_path: Path) -> None:
+    text, _ = made(tmp_path, CAR)
+    begin = text.index("# [sensor_spec]")
+    section = text[begin : text.index("\n\n", begin)]
+    stated = tomllib.loads(re.sub(r"^# ", "", section, flags=re.MULTILINE))["sensor_spec"]
+    assert set(stated) == set(SensorSpec.model_fields)
+    defaults = {name: field.default for name, field in SensorSpec.model_fields.items() if field.default is not None}
+    assert {name: stated[name] for name in defaults} == defaults
+    SensorSpec(**stated)

@@ -73,7 +73,7 @@ def test_the_offset_of_the_sensor_draws_nothing_and_is_forgotten():
     after, spread = believed(estimator)
     assert after[0] == pytest.approx(before[0], abs=1e-12)
     assert abs(after[-1]) < 1e-6
-    assert math.sqrt(spread[-1, -1]) == pytest.approx(CHARGE_AH / 50, rel=1e-6)
+    assert math.sqrt(spread[-1, -1]) == pytest.approx(CHARGE_AH / 50 / 1.96, rel=1e-6)
 
 
 def test_the_first_voltage_after_a_long_rest_is_a_measurement_and_not_an_overwrite():

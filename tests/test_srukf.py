@@ -107,6 +107,7 @@ def test_on_a_linear_cell_it_is_a_kalman_filter(alpha):
     record = exact(LINEAR, tuning)
     rng = np.random.default_rng(3)
     noise, charge = LINEAR.noise, 18000.0
+    offset, gain = 0.1 / 1.96, math.hypot(0.005 / 1.96, 0.01)  # bounds of C/50 and 0.5 %; a fifth of 5 %
     r0, r1, tau1, r2, tau2 = 0.02, 0.012, 15.0, 0.015, 400.0
     H = np.array([1.0, -1.0, -1.0])
     for k in range(2000):
@@ -120,13 +121,14 @@ def test_on_a_linear_cell_it_is_a_kalman_filter(alpha):
         else:
             a1, a2 = math.exp(-dt / tau1), math.exp(-dt / tau2)
             efficiency = 0.99 if current < 0 else 1.0
-            walk = (0.1**2 + (0.01 * current) ** 2) * tuning.current_error_horizon_s / charge**2
+            walk = (offset**2 + (gain * current) ** 2) * tuning.current_error_horizon_s / charge**2
             q = np.array(
                 [
                     walk * dt,
-                    (1 - a1**2) * (noise.v_rc1_sigma_V**2 + (noise.rc_rel_sigma * r1 * current) ** 2 + (0.1 * r1) ** 2),
+                    (1 - a1**2)
+                    * (noise.v_rc1_sigma_V**2 + (noise.rc_rel_sigma * r1 * current) ** 2 + (offset * r1) ** 2),
                     (1 - a2**2)
-                    * (noise.v_rc2_sigma_V**2 + (noise.rc_rel_sigma * r2 * current) ** 2 + (0.1 * (r2 + r0)) ** 2),
+                    * (noise.v_rc2_sigma_V**2 + (noise.rc_rel_sigma * r2 * current) ** 2 + (offset * (r2 + r0)) ** 2),
                 ]
             )
             A = np.diag([1.0, a1, a2])
@@ -134,7 +136,7 @@ def test_on_a_linear_cell_it_is_a_kalman_filter(alpha):
             x = A @ x + c
             P = A @ P @ A.T + np.diag((np.sqrt(q) + TINY_ROOT) ** 2)
         drop = record.drop(x[0], 25.0, current)
-        R = noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2 + (noise.r0_rel_sigma * drop) ** 2
+        R = noise.voltage_sigma_V**2 + tuning.voltage_noise_V**2 + (noise.r0_rel_sigma * drop) ** 2
         R /= 1.0 if k == 0 else min(dt, 1.0)  # voltages that come faster than one a second count for less
         S = H @ P @ H + R
         K = P @ H / S

@@ -91,7 +91,7 @@ def test_a_state_too_old_is_refused(stored):
     [
         lambda: Estimator(scaled(CELL, 2.0)),
         lambda: Estimator(CELL, cells=2),
-        lambda: Estimator(CELL, tuning=Tuning(voltage_sensor_sigma_V=0.005)),
+        lambda: Estimator(CELL, tuning=Tuning(voltage_noise_V=0.005)),
     ],
 )
 def test_the_state_of_another_cell_tuning_or_pack_is_refused(stored, other):

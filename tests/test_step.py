@@ -213,7 +213,8 @@ def test_soc_sigma_grows_in_proportion_to_the_gap_of_the_current(steps):
             status, faults = record.tick(span / steps, temperature=25.0)
         assert faults & ~Fault.UNCERTAIN == Fault.CURRENT_MISSING | Fault.VOLTAGE_MISSING
         assert status is Status.DEGRADED
-        walk = span * (0.1**2 + 0.01**2) * Tuning().current_error_horizon_s / CHARGE**2
+        offset, gain = 0.1 / 1.96, math.hypot(0.005 / 1.96, 0.01)  # of 1 A, the held current
+        walk = span * (offset**2 + gain**2) * Tuning().current_error_horizon_s / CHARGE**2
         expected = math.sqrt(before + walk + (CURRENT_RANGE * (span - 5.0) / CHARGE) ** 2)
         assert record.root[0, 0] == pytest.approx(expected, rel=1e-6)
 

@@ -42,7 +42,7 @@ def covariance(sigmas: list[float], correlation: float) -> np.ndarray:
 def exact_posterior(record: Record, x: np.ndarray, P: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
     """Moments over a fine grid of SoC, the RC voltages given SoC being a Kalman update each; SoC within the tables."""
     drop = record.drop(x[0], 25.0, 1.0)
-    R = CELL.noise.voltage_sigma_V**2 + ALWAYS.voltage_sensor_sigma_V**2 + (CELL.noise.r0_rel_sigma * drop) ** 2
+    R = CELL.noise.voltage_sigma_V**2 + ALWAYS.voltage_noise_V**2 + (CELL.noise.r0_rel_sigma * drop) ** 2
     soc = np.linspace(-0.02, 1.02, 20_001)
     slope = P[1:, 0] / P[0, 0]
     rest = P[1:, 1:] - np.outer(slope, P[0, 1:])

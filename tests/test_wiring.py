@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drives import CELL, steady, terminal
 
-from bms_ukf import Estimate, Estimator, Fault, Sample, Status, Tuning, Wiring
+from bms_ukf import Estimate, Estimator, Fault, Sample, SensorSpec, Status, Tuning, Wiring
 from bms_ukf.scaling import scaled
 
 NAN = float("nan")
@@ -83,7 +83,8 @@ def test_a_cell_that_has_become_invalid_hides_itself_only():
 
 @pytest.mark.parametrize("parallel", [3.0, 0.5])
 def test_a_parallel_group_by_its_scales_is_the_larger_cell(parallel: float):
-    tuning = Tuning(current_bias=False, current_offset_sigma_A=0.1, initial_current_sigma_A=0.1, adaptive=False)
+    spec = SensorSpec(current_offset_A=0.196)
+    tuning = Tuning(current_bias=False, sensor_spec=spec, initial_current_sigma_A=0.1, adaptive=False)
     group, cell = Estimator(CELL, 2, tuning), Estimator(scaled(CELL, parallel), tuning=tuning)
     group.capacity_scale, group.resistance_scale = parallel, 1 / parallel
     for k in range(300):

@@ -38,7 +38,7 @@ def export_benchmark(cell: str, out: Path) -> None:
     show_default=True,
     help="compact: a third of the flash, coarser at low charge and in the cold.",
 )
-@click.option("--config", type=PATH, help="CONFIG.toml: its [estimator] section.")
+@click.option("--config", type=PATH, help="CONFIG.toml: its sections [estimator] and [sensor_spec].")
 @click.option("--out", type=PATH, required=True, help="Folder to write.")
 def export_firmware(
     cell: str, target: str, precision: Literal["f32", "f64"], cells: int, tables: str, config: Path | None, out: Path
@@ -48,8 +48,9 @@ def export_firmware(
     from bms_ukf.cell import CellParams
     from bms_ukf.config import Config
 
-    tuning = None if config is None else toml.load(config, Config).estimator
-    firmware.export(CellParams.load(cell), out, target, precision, cells, tuning, tables)
+    model = CellParams.load(cell)
+    tuning = None if config is None else toml.load(config, Config).tuning(model, config)
+    firmware.export(model, out, target, precision, cells, tuning, tables)
     click.echo((out / "size.txt").read_text(encoding="utf-8"), nl=False)
 
 
@@ -57,7 +58,7 @@ def export_firmware(
 @click.argument("cell")
 @click.option("--fmi", type=click.IntRange(2, 3), default=2, show_default=True, help="Version: 2.0 or 3.0.")
 @click.option("--cells", type=click.IntRange(1, 1000), default=1, show_default=True, help="In series, one filter each.")
-@click.option("--config", type=PATH, help="CONFIG.toml: its [estimator] section.")
+@click.option("--config", type=PATH, help="CONFIG.toml: its sections [estimator] and [sensor_spec].")
 @click.option("--out", type=PATH, required=True, help="The .fmu to write.")
 def export_fmu(cell: str, fmi: int, cells: int, config: Path | None, out: Path) -> None:
     """Write a CELL's estimator as a co-simulation FMU without Python; needs a C compiler."""
@@ -66,8 +67,9 @@ def export_fmu(cell: str, fmi: int, cells: int, config: Path | None, out: Path) 
     from bms_ukf.config import Config
     from bms_ukf.fmumaker.build import MACHINES, compiler
 
-    tuning = None if config is None else toml.load(config, Config).estimator
-    made = estimator_fmu.export(CellParams.load(cell), out, fmi, cells, tuning)
+    model = CellParams.load(cell)
+    tuning = None if config is None else toml.load(config, Config).tuning(model, config)
+    made = estimator_fmu.export(model, out, fmi, cells, tuning)
     click.echo(f"{out}: {out.stat().st_size} bytes, for {', '.join(made)}")
     for name in MACHINES.keys() - set(made):
         click.echo(f"not for {name}: no {compiler(name)} here")

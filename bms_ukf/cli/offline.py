@@ -59,7 +59,9 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 @cli.command("replay")
 @click.argument("inputs", type=PATH, nargs=-1, required=True)
 @click.option("--cell", help="A cell file, or the name of a shipped one.  [CAN logs: default as in CONFIG]")
-@click.option("--config", type=PATH, help="CONFIG.toml: how CAN logs are read; for others its [estimator] section.")
+@click.option(
+    "--config", type=PATH, help="CONFIG.toml: how CAN logs are read; for others its [estimator] and [sensor_spec]."
+)
 @click.option("--current-positive", type=click.Choice(["charge", "discharge"]), help="Sign; required but for CAN logs.")
 @click.option("--initial-soc", type=click.FloatRange(0, 1), help="Default: from the first voltage.")
 @click.option("--initial-sigma", type=click.FloatRange(0, 0.5, min_open=True), help="Its standard deviation.")

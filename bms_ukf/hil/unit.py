@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from bms_ukf import resources
+from bms_ukf.cell import CellParams
 from bms_ukf.faults.base import Injection
 from bms_ukf.frames import Frame
 from bms_ukf.scenario import Scenario
@@ -51,7 +52,9 @@ class Unit(Protocol):
 
 
 def write_config(folder: Path, scenario: Scenario, source: Path, interface: str, channel: str) -> Path:
-    """The CONFIG.toml of a scenario's daemon, in `folder`. ConfigError if there is no such cell file."""
+    """Write the CONFIG.toml of a scenario's daemon into `folder`. ConfigError without its cell, or if that contradicts
+    the specification of the sensors.
+    """
     daemon = scenario.daemon
     cell = resources.find(scenario.estimator.cell, "cells", ".toml", relative_to=source.parent).resolve()
     values: dict[str, Any] = {"format": 1, "cell": str(cell), "cells": scenario.cells}
@@ -60,8 +63,11 @@ def write_config(folder: Path, scenario: Scenario, source: Path, interface: str,
     values |= {"state.file": STATE, "state.period_s": daemon.state_period_s}
     if daemon.temperature_sensors > 1:
         values["pack.sensor_of"] = [sensor + 1 for sensor in daemon.sensor_of(scenario.cells)]
-    tuning = scenario.estimator.tuning.model_dump(exclude_none=True)
-    values |= {f"estimator.{name}": value for name, value in tuning.items()}
+    tuning = scenario.estimator.tuning
+    tuning.check(CellParams.load(cell), source, "estimator.tuning.sensor_spec")
+    values |= {f"sensor_spec.{name}": value for name, value in tuning.sensor_spec.model_dump(exclude_none=True).items()}
+    others = tuning.model_dump(exclude={"sensor_spec"}, exclude_none=True)
+    values |= {f"estimator.{name}": value for name, value in others.items()}
     path = folder / "config.toml"
     path.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items()), encoding="utf-8")
     return path

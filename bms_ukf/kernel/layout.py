@@ -92,7 +92,7 @@ P_RC_REL = 15  # relative error of r1..
 P_VAR_V = 16  # N_RC_MAX + 1 slots: stationary variance of the model error each voltage state carries, V^2
 P_CURRENT_OFFSET = 20  # one sigma of the current sensor's offset, A; 0 where a bias state carries it
 P_SOC_WALK_OFFSET = 21  # growth of SoC variance from an unknown current offset, 1/s
-P_SOC_WALK_GAIN = 22  # the same from an unknown current gain, 1/(s A^2)
+P_SOC_WALK_GAIN = 22  # the same from an unknown current gain and capacity, 1/(s A^2)
 P_BIAS_SIGMA = 23  # stationary sigma of the bias state, A
 P_BIAS_TAU = 24  # and its correlation time, s
 P_HYSTERESIS_RATE = 25  # of the hysteresis voltage's way to its target per charge moved, 1/(A s)
@@ -119,8 +119,14 @@ P_EXCITED = 45  # a current that moves by more shows what r0 is, A
 P_OCV = 46  # the two table descriptors, see the T_* offsets
 P_DYN = 52
 P_ALIKE = 58  # correlation of the cells' errors where they tell their current's offset
-P_INVALID_HALF_WIDTH = 59  # and up to which it has a SoC at all
-PARAMS_HEADER = 60
+P_VOLTAGE_OFFSET = 59  # one sigma of what the voltage sensor shows too much for long: offset and gain, V
+P_CURRENT_GAIN = 60  # one sigma of the current sensor's relative error, 1
+P_TEMPERATURE = 61  # one sigma of the temperature, K
+P_SKEW = 62  # one sigma of the time between current and voltage, s
+P_CURRENT_RESOLUTION = 63  # step of the current signal, A; 0: none
+P_CAPACITY_DOUBT = 64  # one sigma of the relative error of the cell file's capacity, 1
+P_INVALID_HALF_WIDTH = 65  # half of the interval up to which a cell has a SoC at all
+PARAMS_HEADER = 66
 
 # A table descriptor: rows over temperature, knots over SoC, both uniform.
 T_OFFSET = 0  # where its numbers start in `params`

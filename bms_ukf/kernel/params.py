@@ -34,6 +34,7 @@ COMPACT = Grid(ocv_intervals=100, dyn_intervals=20, temperature_step_K=10.0)  # 
 SOC_SIGMA_MIN = 1e-4  # no reading of an OCV curve is better
 SOC_SIGMA_MAX = 0.5  # of a quantity between 0 and 1: more says nothing
 ROUNDING_MAX_V = 1e-4  # a tenth of what a good voltage sensor resolves
+NOMINAL_DEGC = 25.0  # the nominal voltage of a cell is its OCV at this temperature and half charge
 CACHE_TEMPERATURE_K = 0.01  # resistances change by some 3 % a kelvin: what is cached is right to 0.03 %
 
 
@@ -44,7 +45,8 @@ def form_of(cell: CellParams, tuning: Tuning, lanes: int = 1, bits: int = 64) ->
 
 
 def params(cell: CellParams, tuning: Tuning, bits: int = 64, grid: Grid = FULL) -> NDArray[Any]:
-    """The `params` buffer, 64-byte aligned, of numbers of 32 or 64 bits."""
+    """The `params` buffer, 64-byte aligned, of numbers of 32 or 64 bits. Raises ConfigError for an unsound tuning."""
+    tuning.check(cell, "tuning", "sensor_spec")
     ocv, ocv_temperatures = _ocv_table(cell, grid)
     dyn, dyn_temperatures = _dynamics_table(cell, grid)
     p = np.full(k.PARAMS_HEADER + ocv.size + dyn.size, np.nan)
@@ -75,7 +77,7 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
     p[k.P_TEMPERATURE_MIN], p[k.P_TEMPERATURE_MAX] = -60.0, 120.0
     p[k.P_TABLE_TEMPERATURE_MIN], p[k.P_TABLE_TEMPERATURE_MAX] = limits.temperature_limits_degC
     p[k.P_CURRENT_RANGE] = (discharge - charge) / 2
-    p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2
+    p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2
     p[k.P_R0_REL], p[k.P_RC_REL] = noise.r0_rel_sigma, noise.rc_rel_sigma
     for j, sigma in enumerate(voltage_sigmas(cell)):
         p[k.P_VAR_V + j] = sigma**2
@@ -87,7 +89,8 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
 def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None:
     capacity_Ah = cell.cell.capacity_Ah
     charge = p[k.P_CHARGE_COULOMB]
-    offset_A = capacity_Ah / 50 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
+    spec = tuning.sensor_spec
+    offset_A = spec.current_offset_sigma_A(capacity_Ah)
     # An error that stays the same over the horizon H and is then redrawn: SoC walks with variance sigma^2 H per second.
     # With a state of its own the offset is no noise.
     unseen_A = 0.0 if tuning.current_bias else offset_A
@@ -96,7 +99,7 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     p[k.P_ALIKE] = tuning.bias_error_correlation
     p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 400, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
-    p[k.P_SOC_WALK_GAIN] = (tuning.current_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
+    p[k.P_SOC_WALK_GAIN] = (tuning.charge_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
     _write_weights(p, form_of(cell, tuning).n, tuning, cell.cell.voltage_limits_V[1], bits)
     p[k.P_GATE2], p[k.P_REJECT_S] = tuning.gate_sigmas**2, tuning.reject_s
     p[k.P_CURRENT_TIMEOUT] = tuning.current_timeout_s
@@ -112,6 +115,10 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     p[k.P_WIDE_SIGMA] = tuning.wide_soc_sigma
     unknown_load = tuning.initial_current_sigma_A
     p[k.P_INITIAL_CURRENT] = capacity_Ah / 20 if unknown_load is None else unknown_load
+    p[k.P_VOLTAGE_OFFSET] = spec.voltage_offset_sigma_V(float(cell.ocv_V(0.5, NOMINAL_DEGC)))
+    p[k.P_CURRENT_GAIN], p[k.P_TEMPERATURE] = spec.current_gain_sigma, spec.temperature_sigma_K
+    p[k.P_SKEW], p[k.P_CURRENT_RESOLUTION] = spec.skew_sigma_s, spec.current_resolution_A or 0.0
+    p[k.P_CAPACITY_DOUBT] = tuning.capacity_doubt
 
 
 def _write_weights(p: Array, n: int, tuning: Tuning, voltage_V: float, bits: int) -> None:

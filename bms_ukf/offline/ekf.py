@@ -70,8 +70,8 @@ def model_of(cell: CellParams, tuning: Tuning) -> Model:
     ocv_V = np.array([cell.ocv_V(soc, float(temperature)) for temperature in temperatures])
     tables = [np.column_stack(list(cell.dynamics_at(soc, float(temperature)).values())) for temperature in temperatures]
     charge_As = 3600 * limits.capacity_Ah
-    offset_A, load_A = tuning.current_offset_sigma_A, tuning.initial_current_sigma_A
-    offset_A = limits.capacity_Ah / 50 if offset_A is None else offset_A
+    spec, load_A = tuning.sensor_spec, tuning.initial_current_sigma_A
+    offset_A = spec.current_offset_sigma_A(limits.capacity_Ah)
     sigmas_V = (noise.v_rc1_sigma_V, noise.v_rc2_sigma_V, noise.v_rc3_sigma_V, noise.hysteresis_sigma_V)
     return Model(
         ocv_V=ocv_V,
@@ -85,13 +85,13 @@ def model_of(cell: CellParams, tuning: Tuning) -> Model:
         hysteresis_rate=cell.hysteresis.rate / charge_As if cell.hysteresis else 0.0,
         core_K_per_W=cell.thermal.core_K_per_W if cell.thermal else 0.0,
         core_tau_s=cell.thermal.core_tau_s if cell.thermal else 1.0,
-        voltage_var_V2=noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2,
+        voltage_var_V2=noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2,
         r0_rel_sigma=noise.r0_rel_sigma,
         rc_rel_sigma=noise.rc_rel_sigma,
         state_var_V2=np.array([sigma**2 for sigma in sigmas_V if sigma is not None]),
         offset_sigma_A=offset_A,
         soc_walk_offset=(offset_A / charge_As) ** 2 * tuning.current_error_horizon_s,
-        soc_walk_gain=(tuning.current_gain_sigma / charge_As) ** 2 * tuning.current_error_horizon_s,
+        soc_walk_gain=(tuning.charge_gain_sigma / charge_As) ** 2 * tuning.current_error_horizon_s,
         initial_load_sigma_A=limits.capacity_Ah / 20 if load_A is None else load_A,
         gate_sigmas=tuning.gate_sigmas,
         reject_s=tuning.reject_s,

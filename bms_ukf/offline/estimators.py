@@ -65,14 +65,15 @@ def coulomb(cell: CellParams, tuning: Tuning) -> Runner:
     """The charge counted from the start; its sigma is what the sensor's offset and gain may have added up to."""
     limits = cell.cell
     charge_As = 3600 * limits.capacity_Ah
-    offset_A = limits.capacity_Ah / 50 if tuning.current_offset_sigma_A is None else tuning.current_offset_sigma_A
+    spec = tuning.sensor_spec
+    offset_A = spec.current_offset_sigma_A(limits.capacity_Ah)
 
     def run(signals: Signals, told: Told | None) -> Columns:
         start = told or from_first_voltage(cell, signals, tuning)
         efficiency = np.where(signals.current_A < 0, limits.coulombic_efficiency, 1.0)
         moved_As = np.cumsum(efficiency * signals.current_A * signals.step_s)
         elapsed_s = signals.time_s - signals.time_s[:1]
-        drift = np.hypot(offset_A * elapsed_s, tuning.current_gain_sigma * moved_As) / charge_As
+        drift = np.hypot(offset_A * elapsed_s, spec.current_gain_sigma * moved_As) / charge_As
         nothing = np.full(moved_As.size, np.nan)
         return {
             "soc": np.clip(start.soc - moved_As / charge_As, 0, 1),

@@ -30,7 +30,7 @@ def from_first_voltage(cell: CellParams, signals: Signals, tuning: Tuning) -> To
     r0 = at["r0_charge_ohm" if i < 0 else "r0_ohm"]
     drop_V = r0 * at["r0_knee_A"] * np.arcsinh(i / at["r0_knee_A"])
     correlated = (noise.v_rc1_sigma_V, noise.v_rc2_sigma_V, noise.v_rc3_sigma_V, noise.hysteresis_sigma_V)
-    white_V2 = noise.voltage_sigma_V**2 + tuning.voltage_sensor_sigma_V**2
+    white_V2 = noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2
     slow_V2 = sum(sigma**2 for sigma in correlated if sigma is not None)
     variance = white_V2 + slow_V2 + at.get("hysteresis_V", np.zeros_like(soc)) ** 2 / 3
     error = (signals.voltage_V[first] - cell.ocv_V(soc, T) + drop_V) ** 2 / variance

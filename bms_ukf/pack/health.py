@@ -72,7 +72,7 @@ class Health:
         """The capacities are those that the estimator has now."""
         self.estimator = estimator
         cells = estimator.cells
-        self._gain_sigma = estimator.tuning.current_gain_sigma
+        self._gain_sigma = estimator.tuning.sensor_spec.current_gain_sigma
         self._model_V = math.hypot(*voltage_sigmas(estimator.cell))
         self._cell_hash = hashlib.sha256(estimator.cell.model_dump_json().encode()).digest()
         self.capacity = estimator.capacity_scale

@@ -52,7 +52,7 @@ def replay(
     several = len(found) > 1 or any(path.is_dir() for path in given)
     loaded = None if cell is None else CellParams.load(cell)
     other = None if diff is None else CellParams.load(diff)
-    tuning = Tuning() if config is None else _tuning(config)
+    tuning = Tuning() if config is None else _tuning(config, loaded)
     if means.parquet and places.out is None:
         raise ConfigError("--out", expected="where the results are to go, and stay for a run that resumes")
     suffixes = (results.SUFFIX if means.parquet else ".csv", ".json", ".html")
@@ -83,8 +83,8 @@ def _require_recordings(found: Sequence[Path], options: dict[str, Any]) -> None:
                 raise ConfigError(option, value=options[field.name], expected=expected)
 
 
-def _tuning(config: Path) -> Tuning:
+def _tuning(config: Path, cell: CellParams | None) -> Tuning:
     from bms_ukf import toml
     from bms_ukf.config import Config  # brings cantools, which only this option needs
 
-    return toml.load(config, Config).estimator
+    return toml.load(config, Config).tuning(cell, config)

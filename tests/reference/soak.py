@@ -13,10 +13,13 @@ import numpy as np
 import synthetic_cell
 from drives import CELL, variant
 
-from bms_ukf import CellParams, Estimator, Fault, Tuning
+from bms_ukf import CellParams, Estimator, Fault, SensorSpec, Tuning
 from bms_ukf.kernel.params import SOC_SIGMA_MAX, SOC_SIGMA_MIN, Precision
 
 CHUNK = 10_000
+
+
+PERFECT = SensorSpec(voltage_offset_V=0.0, voltage_gain=0.0, current_gain=0.0, temperature_K=0.0, skew_s=0.0)
 
 
 def cells() -> dict[str, tuple[CellParams, Tuning]]:
@@ -28,7 +31,10 @@ def cells() -> dict[str, tuple[CellParams, Tuning]]:
         "classic alpha or 0.1": (CELL, Tuning(alpha=0.1)),
         "LFP plateau with hysteresis": (synthetic_cell.cell_of(synthetic_cell.plateau()), Tuning()),
         "3 RC, hysteresis, bias, core": (everything, Tuning(current_bias=True)),
-        "trusting sensors": (CELL, Tuning(voltage_sensor_sigma_V=0.0, current_gain_sigma=0.0, initial_soc_sigma=0.5)),
+        "trusting sensors": (
+            CELL,
+            Tuning(sensor_spec=PERFECT, voltage_noise_V=0.0, capacity_doubt=0.0, initial_soc_sigma=0.5),
+        ),
     }
 
 

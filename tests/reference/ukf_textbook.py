@@ -82,7 +82,9 @@ class Cell:
         noise = self.params.noise
         self.n_rc = self.params.dynamics.n_rc
         self.sigmas = [getattr(noise, f"v_rc{j}_sigma_V") for j in range(1, self.n_rc + 1)]
-        self.offset = self.params.cell.capacity_Ah / 50
+        spec = self.tuning.sensor_spec
+        self.offset = spec.current_offset_sigma_A(self.params.cell.capacity_Ah)
+        self.gain = math.hypot(spec.current_gain_sigma, 0.2 * self.tuning.capacity_doubt)
 
     def start(self, i: float, temperature: float) -> None:
         """At `tuning.initial_soc`; current i, and C/20 more or less of it, may have flowed for long or not at all."""
@@ -127,7 +129,7 @@ class Cell:
                 after.append(math.exp(-dt / horizon) * x[-1])
             return np.array(after)
 
-        q = [(offset**2 + (tuning.current_gain_sigma * i) ** 2) * horizon / charge**2 * dt]
+        q = [(offset**2 + (self.gain * i) ** 2) * horizon / charge**2 * dt]
         for j, (a, r, sigma) in enumerate(zip(decays, resistances, self.sigmas, strict=True), 1):
             shifted = r + at["r0_ohm"] if j == n_rc else r
             own = at["error_scale"] * math.hypot(sigma, noise.rc_rel_sigma * r * i)
@@ -146,7 +148,7 @@ class Cell:
         # The bias moves the drop by little: straight in it.
         r0, knee = at["r0_ohm"] if i >= 0 else at["r0_charge_ohm"], at["r0_knee_A"]
         drop, slope = r0 * knee * math.asinh(i / knee), r0 / math.hypot(1, i / knee)
-        variance = noise.voltage_sigma_V**2 + self.tuning.voltage_sensor_sigma_V**2
+        variance = noise.voltage_sigma_V**2 + self.tuning.voltage_noise_V**2
         variance += (noise.r0_rel_sigma * drop) ** 2
         variance *= at["error_scale"] ** 2
         variance /= min(self.age, 1.0)  # voltages that come faster than one a second count for less
