@@ -35,6 +35,7 @@ class Tuning(Section):
         "current_gain_sigma": "sensor_spec.current_gain, a 95 % bound (1.96 sigma)",
         "voltage_sensor_sigma_V": "voltage_noise_V, one sigma of white noise, and sensor_spec.voltage_offset_V, "
         "a 95 % bound of a lasting error",
+        "soc_sigma_invalid": "invalid_half_width, a half-width (1.96 sigma)",
     }
 
     # What is believed before the first voltage. The default is no opinion: that voltage, at rest or not, decides.
