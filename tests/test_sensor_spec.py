@@ -205,7 +205,10 @@ def test_a_specification_that_cannot_be_is_one_line(config, tmp_path, line, told
             "voltage_sensor_sigma_V = 0.002",
             "voltage_sensor_sigma_V is 0.002; expected no such key: voltage_noise_V, one",
         ),
-        ("soc_sigma_invalid = 0.35", "soc_sigma_invalid is 0.35; expected no such key: invalid_half_width, a half-width"),
+        (
+            "soc_sigma_invalid = 0.35",
+            "soc_sigma_invalid is 0.35; expected no such key: invalid_half_width, a half-width",
+        ),
         ("capacity_doubt = 0.6", "capacity_doubt is 0.6; expected less than or equal to 0.5"),
     ],
 )
