@@ -19,7 +19,7 @@ def test_each_test_of_a_programme_begins_full_and_soaked_and_its_manifest_can_be
     load = {"segments": [{"rest_s": 60.0}, {"current_A": 5.0, "duration_s": 120.0}]}
     monkeypatch.setattr(cells, "programme", lambda plant: [CyclerTest("pulse", "cold", 0.0, load)])
     (line,) = cells.write_manifest(PLANTS["lgm50_spme"], tmp_path, "lgm50_spme")
-    assert line.startswith("cold: 180 rows, SoC 0.99")
+    assert line.startswith("cold: 180 rows, full 0.99")
     path = tmp_path / "MANIFEST.toml"
     tests = Manifest.load(path)
     recording = measured.load(path, tests, tests.test[0])

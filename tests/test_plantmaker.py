@@ -34,6 +34,7 @@ MADE = {
     "nmc3": ["--parameters", "Chen2020", "--model", "SPM", "--fmi", "3"],
     "lfp": ["--parameters", "Prada2013", "--thermal", "isothermal"],
     "branches": ["--parameters", "Prada2013", "--model", "SPM", "--thermal", "isothermal", "--hysteresis", "0.02"],
+    "table": ["--parameters", "OKane2022", "--model", "SPM"],  # an electrode as a table: another form of C
     "block": ["--parameters", "Chen2020", "--model", "SPM", "--parallel", "3"],
     "ecm": ["--model", "Thevenin", "--parameters", "ECM_Example", "--fmi", "3"],
     "string": [*SPREAD, "--model", "SPM", "--seed", "4"],

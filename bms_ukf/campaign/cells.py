@@ -100,7 +100,7 @@ role = "{test.role}"
 file = "{test.name}.csv.gz"
 temperature_degC = {test.ambient_degC}
 '''
-        yield f"{test.name}: {len(run.current_A)} rows, SoC {run.soc_start[0]:.4f} to {run.soc[-1, 0]:.4f}"
+        yield f"{test.name}: {len(run.current_A)} rows, full {run.soc_start[0]:.4f}, lowest {run.soc.min():.4f}"
     (folder / "MANIFEST.toml").write_text(text, encoding="utf-8")
 
 

@@ -34,6 +34,8 @@ def record(plant: CampaignPlant, recipe: Recipe, fmu: Path | str) -> Trace:
         parameters["soc_initial"] += -LEAD_SOC if charged else LEAD_SOC
         legs.insert(0, Leg({"segments": _lead(plant, charged, recipe.soc_initial)}, recipe.ambient_degC))
     run = drive(fmu, parameters, *legs)
+    empty, full = plant.empty_full
+    soc, soc_start = ((value - empty) / (full - empty) for value in (run.soc, run.soc_start))
     return Trace(
         name=f"{plant.name}/{recipe.name}",
         plant=plant.name,
@@ -43,9 +45,9 @@ def record(plant: CampaignPlant, recipe: Recipe, fmu: Path | str) -> Trace:
         current_A=run.current_A,
         voltage_V=run.voltage_V,
         temperature_degC=run.temperature_degC.mean(axis=1),
-        soc=run.soc,
+        soc=soc,
         ambient_degC=recipe.ambient_degC,
-        capacity_Ah=_capacity_Ah(run.current_A * recipe.step_s / 3600, run.soc, run.soc_start),
+        capacity_Ah=_capacity_Ah(run.current_A * recipe.step_s / 3600, soc, soc_start),
         aged=recipe.aged,
         soc_ref_sigma=0.0,
     )
