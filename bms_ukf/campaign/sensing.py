@@ -1,6 +1,6 @@
 """Sensor errors of one run: drawn once, then applied to all rows at a time.
 
-The specification is the one of `[sensor_spec]`: bounds that hold 95 % of sensors, so that one sigma is bound / 1.96.
+The specification is that of a daemon without `[sensor_spec]`: bounds that hold 95 % of sensors.
 """
 
 from __future__ import annotations
@@ -10,15 +10,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bms_ukf.sensor_spec import BOUND_SIGMAS, SensorSpec
+
 Array = NDArray[np.float64]
 
-SPECIFIED = {  # 95 % bounds
-    "voltage_offset_V": 0.005,
-    "voltage_gain": 0.001,
-    "current_offset_C": 1 / 50,
-    "current_gain": 0.005,
-    "temperature_offset_K": 2.0,
-    "skew_s": 0.2,
+_SPEC = SensorSpec()
+SIGMAS = {
+    "voltage_offset_V": _SPEC.voltage_offset_V / BOUND_SIGMAS,
+    "voltage_gain": _SPEC.voltage_gain / BOUND_SIGMAS,
+    "current_offset_C": _SPEC.current_offset_sigma_A(1.0),
+    "current_gain": _SPEC.current_gain_sigma,
+    "temperature_offset_K": _SPEC.temperature_K / BOUND_SIGMAS,
+    "skew_s": _SPEC.skew_sigma_s,
 }
 RESOLUTIONS = {"voltage_bit_V": (0.001, 0.005), "current_bit_C": (0.002, 0.02), "temperature_bit_K": (0.5, 1.0)}
 
@@ -53,9 +56,9 @@ class Errors:
         return ", ".join(text for name, text in shown.items() if getattr(self, name)) or "no sensor error"
 
 
-def draw(rng: np.random.Generator, names: tuple[str, ...] = tuple(SPECIFIED)) -> Errors:
+def draw(rng: np.random.Generator, names: tuple[str, ...] = tuple(SIGMAS)) -> Errors:
     """Draw errors within the specification for the channels in `names`; the others have noise and resolution alone."""
-    return replace(Errors(), **{name: float(rng.normal(0.0, SPECIFIED[name] / 1.96)) for name in names})
+    return replace(Errors(), **{name: float(rng.normal(0.0, SIGMAS[name])) for name in names})
 
 
 def usual(rng: np.random.Generator) -> Errors:
@@ -81,9 +84,9 @@ def voltage(errors: Errors, rng: np.random.Generator, true_V: Array) -> Array:
     cells = true_V.shape[1]
     offset, gain = np.full(cells, errors.voltage_offset_V), np.full(cells, errors.voltage_gain)
     if errors.voltage_offset_V:
-        offset[1:] = rng.normal(0.0, SPECIFIED["voltage_offset_V"] / 1.96, cells - 1)
+        offset[1:] = rng.normal(0.0, SIGMAS["voltage_offset_V"], cells - 1)
     if errors.voltage_gain:
-        gain[1:] = rng.normal(0.0, SPECIFIED["voltage_gain"] / 1.96, cells - 1)
+        gain[1:] = rng.normal(0.0, SIGMAS["voltage_gain"], cells - 1)
     noise_V = errors.voltage_noise_V * rng.standard_normal(true_V.shape)
     return _rounded((1 + gain) * true_V + offset + noise_V, errors.voltage_bit_V)
 

@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bms_ukf.campaign.cuts import Lot, measure, run
-from bms_ukf.campaign.sensing import RESOLUTIONS, SPECIFIED, Errors, draw
+from bms_ukf.campaign.sensing import RESOLUTIONS, SIGMAS, Errors, draw
 from bms_ukf.campaign.situation import Situation
 from bms_ukf.campaign.starts import anywhere
 
 RUN_S = 3600.0
-ALONE = (*SPECIFIED, *RESOLUTIONS)
+ALONE = (*SIGMAS, *RESOLUTIONS)
 
 
 def alone(lot: Lot) -> Situation | None:
     """One error; the other channels have noise and resolution alone."""
-    errors = (
-        draw(lot.rng, (lot.variant,)) if lot.variant in SPECIFIED else replace(Errors(), **_coarse(lot, lot.variant))
-    )
+    errors = draw(lot.rng, (lot.variant,)) if lot.variant in SIGMAS else replace(Errors(), **_coarse(lot, lot.variant))
     return _driven(lot, errors, lot.variant.rpartition("_")[0].replace("_", " ") or lot.variant)
 
 
