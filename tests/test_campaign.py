@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bms_ukf import Status
-from bms_ukf.campaign import classes, course, figures, goals, library, run, sensing, traces
+from bms_ukf.campaign import classes, course, figures, goals, library, run, sensing, traces, view
 from bms_ukf.campaign.run import Published
 from bms_ukf.campaign.situation import Failure, Situation
 from bms_ukf.manifest import DATA_FOLDER
@@ -191,7 +191,7 @@ def test_the_command_writes_the_figures_of_a_run_and_its_exit_code_is_the_verdic
 def test_a_missed_goal_is_exit_code_1_and_a_line(bms_ukf, monkeypatch):
     nobody = goals.Sharpness(100.0, 0.0001)
     monkeypatch.setattr(goals, "SHARPNESS", dict(goals.SHARPNESS, rests=nobody))
-    ended = bms_ukf("campaign", "--class", "rests", "--seed", 1, "--jobs", 1)
+    ended = bms_ukf("campaign", "--class", "rests", "--seed", 1, "--plant", "lgm50_spme", "--jobs", 1)
     assert ended.code == 1
     assert "rests: median half-width, % SoC" in ended.out
 
@@ -259,3 +259,7 @@ def test_without_recordings_the_plants_are_those_with_committed_traces(monkeypat
     monkeypatch.delenv(DATA_FOLDER, raising=False)
     assert library.plants() == traces.plants()
     assert library.names("lgm50_spme") == traces.names("lgm50_spme")
+
+
+def test_every_goal_has_words():
+    assert {goal.figure for name in classes.CLASSES for goal in goals.of(name)} <= set(view.WORDS)

@@ -130,8 +130,8 @@ def _naming(situation: Situation, published: Published) -> tuple[float | None, f
 
 def of_class(runs: Sequence[RunFigures]) -> dict[str, Any]:
     """Return the figures of runs together, by the keys of the JSON; None where there is nothing to judge."""
-    sharp, settling = [run for run in runs if run.sharp], [run for run in runs if run.sharp and run.warm]
-    errors = [run.error_10min for run in settling]
+    sharp, warm = [run for run in runs if run.sharp], [run for run in runs if run.sharp and run.warm]
+    errors = [run.error_10min for run in warm]
     asked = [run for run in runs if run.within_s is not None]
     worst = max(runs, key=lambda run: run.badness)
     return {
@@ -143,8 +143,10 @@ def of_class(runs: Sequence[RunFigures]) -> dict[str, Any]:
         "half_width_pct": _median_pct([run.half_widths for run in sharp]),
         "rmse_pct": _rmse_pct(sum(run.squared for run in runs), sum(run.known for run in runs)),
         "sharp_runs": len(sharp),
+        "warm_half_width_pct": _median_pct([run.half_widths for run in warm]),
+        "warm_rmse_pct": _rmse_pct(sum(run.squared for run in warm), sum(run.known for run in warm)),
         "error_10min_pct": _pct(sum(error is not None and error <= SETTLED for error in errors), len(errors)),
-        "half_width_10min_pct": _median_pct([[run.half_width_10min] for run in settling if run.half_width_10min]),
+        "half_width_10min_pct": _median_pct([[run.half_width_10min] for run in warm if run.half_width_10min]),
         "flat_inside_pct": _flat(runs, "inside", "known", _pct),
         "flat_rmse_30min_pct": _flat(runs, "late_squared", "late_known", _rmse_pct),
         "named_pct": _pct(sum(run.in_time for run in asked), len(asked)),

@@ -59,7 +59,15 @@ _NAMED = Goal("named_pct", 95.0, at_least=True)
 _START = Sharpness(50.0, 4.0, (_HALF_WIDTH_10MIN,))
 
 SHARPNESS: Mapping[str, Sharpness] = {
-    "start_after_hours": Sharpness(95.0, 1.6, (Goal("rmse_pct", 0.47, at_least=False, share=False), _SETTLED_10MIN)),
+    "start_after_hours": Sharpness(
+        95.0,
+        3.0,
+        (
+            Goal("warm_half_width_pct", 1.6, at_least=False, share=False),
+            Goal("warm_rmse_pct", 0.47, at_least=False, share=False),
+            _SETTLED_10MIN,
+        ),
+    ),
     "start_after_minutes": _START,
     "start_under_load": _START,
     "start_under_charge": _START,

@@ -27,6 +27,8 @@ WORDS = {
     "ok_pct": "ok rows, %",
     "half_width_pct": "median half-width, % SoC",
     "rmse_pct": "RMSE, % SoC",
+    "warm_half_width_pct": "at 10 °C or more: median half-width, % SoC",
+    "warm_rmse_pct": "at 10 °C or more: RMSE, % SoC",
     "half_width_10min_pct": "median half-width after ten minutes, % SoC",
     "error_10min_pct": "runs within 3 % SoC after ten minutes, %",
     "flat_inside_pct": "LFP: rows inside the interval, %",
