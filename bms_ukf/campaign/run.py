@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import honesty
 from bms_ukf.campaign.situation import Situation
 from bms_ukf.cell import CellParams
 from bms_ukf.config import Bus, Config, Setup
@@ -26,8 +25,6 @@ from bms_ukf.tuning import Tuning
 Array = NDArray[np.float64]
 SECOND_NS = 1_000_000_000
 COVERED_K = 2.0  # beyond the tables by less is within the specification of a temperature sensor
-# An estimate without an interval of its own has that of its sigma.
-_FIELDS = ("soc", "soc_low", "soc_high") if hasattr(Estimate(), "soc_low") else ("soc", "soc_sigma", "soc_sigma")
 
 
 class Published(NamedTuple):
@@ -61,8 +58,7 @@ class _Witness:
     def published(self, t_ns: int, estimate: Estimate, detail: Detail) -> None:
         self.t_ns.append(t_ns)
         self.words.extend((int(estimate.status), int(estimate.faults)))
-        for name in _FIELDS:
-            values = getattr(estimate, name)
+        for values in (estimate.soc, estimate.soc_low, estimate.soc_high):
             if isinstance(values, float):
                 self.values.append(values)
             else:
@@ -108,8 +104,6 @@ def _published(situation: Situation, witness: _Witness, flat: bool, covered: boo
     t_s = np.frombuffer(witness.t_ns, dtype=np.int64) / SECOND_NS if witness.t_ns else np.empty(0)
     words = np.array(witness.words, dtype=np.int64).reshape(-1, 2)
     soc, low, high = np.array(witness.values).reshape(-1, 3, situation.cells).transpose(1, 0, 2)
-    if "soc_low" not in _FIELDS:
-        low, high = honesty.bounds(soc, low)
     truth = np.stack([np.interp(t_s, situation.t_s, column) for column in situation.soc.T], axis=1)
     row = np.minimum(np.searchsorted(situation.t_s, t_s - 1e-6), situation.t_s.size - 1)
     return Published(
