@@ -62,8 +62,7 @@ PLANTS = {
         _plant("Prada2013", "LFP / graphite", 2.3, 2.0, 3.6, 3.2, _LFP, hysteresis=True, empty_full=(0.0087, 0.9992)),
         _plant("Mohtat2020", "NMC532 / graphite", 5.0, 2.8, 4.2, 3.7, empty_full=(0.0016, 0.9982)),
         _plant("Marquis2019", "LCO / graphite", 0.68, 3.105, 4.1, 3.75, parallel=6, empty_full=(0.0013, 0.9969)),
-        _plant("ORegan2022", "NMC811 / graphite-SiOx", 5.0, 2.5, 4.2, 3.63, empty_full=(0.0, 1.0)),
-        _plant("OKane2022", "NMC811 / graphite-SiOx", 5.0, 2.5, 4.2, 3.63, empty_full=(0.0, 1.0)),
+        _plant("ORegan2022", "NMC811 / graphite-SiOx", 5.0, 2.5, 4.2, 3.63, empty_full=(0.0075, 0.9820)),
         _plant("Ecker2015", "NMC / graphite", 0.156, 2.5, 4.2, 3.65, parallel=15, empty_full=(0.0004, 0.9990)),
     )
 }
