@@ -130,7 +130,9 @@ def _summary(scenario: Scenario, trace: Trace, link: Link, wall_s: float) -> dic
         "frames_out": link.frames_out,
         "final_soc": _or_none(trace["soc"][-1]),
         "soc_sigma_final": _or_none(trace["soc_sigma"][-1]),
-        **metrics.score(trace.t_s, trace["soc"], trace["soc_sigma"], trace["soc_ref"]),
+        "soc_low_final": _or_none(trace["soc_low"][-1]),
+        "soc_high_final": _or_none(trace["soc_high"][-1]),
+        **metrics.score(trace.t_s, trace["soc"], trace.interval, trace["soc_ref"]),
     }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from bms_ukf.dbc import Field, own_matrix
 from bms_ukf.fault_bits import FaultBits
 from bms_ukf.frames import Frame, Outbox
-from bms_ukf.records import NAN, Detail, Estimate, PerCell, Status, largest_known, mean_known
+from bms_ukf.records import NAN, Detail, Estimate, PerCell, Status, largest_known, mean_known, smallest_known
 
 HEALTH = ("FramesDropped", "FramesRefused", "FramesNotSent", "ClockSteps", "Reopened", "Contradictions")
 
@@ -52,6 +52,10 @@ class Encoder:
         self._soc_min = field_of("BmsState.SocMin").insert(0.01)
         self._soc_max = field_of("BmsState.SocMax").insert(0.01)
 
+        self._interval_box = Outbox(matrix.message("SocInterval"))
+        self._low = field_of("SocInterval.SocLow").insert(0.01)
+        self._high = field_of("SocInterval.SocHigh").insert(0.01)
+
         self._detail_box = Outbox(matrix.message("SocDetail"))
         self._source_shift = field_of("SocDetail.Source").shift
         self._slewed = field_of("SocDetail.SocSlewed").insert(0.01)
@@ -63,9 +67,10 @@ class Encoder:
         self._counts = [field_of(f"BusHealth.{name}") for name in HEALTH]
 
     def encode(self, estimate: Estimate, detail: Detail, accepted: int) -> list[Frame]:
-        """A set: SocDetail, BmsState, SocQuality and SocEstimate."""
+        """A set: SocDetail, SocInterval, BmsState, SocQuality and SocEstimate."""
         return [
             self.detail(estimate, detail, accepted),
+            self.interval(estimate, accepted),
             self.state(estimate, detail, accepted),
             self.quality(estimate, accepted),
             self.soc(estimate, accepted),
@@ -81,6 +86,12 @@ class Encoder:
         word = estimate.status << self._status_shift | self._soc(soc) | self._sigma(sigma) | self._age(age)
         return self._soc_box.frame(word, accepted)
 
+    def interval(self, estimate: Estimate, accepted: int) -> Frame:
+        """SocInterval: the smallest lower and the largest upper bound of the cells' SoC."""
+        low, high = (estimate.soc_low, estimate.soc_high) if estimate.status in _AVAILABLE else (NAN, NAN)
+        word = self._low(smallest_known(low)) | self._high(largest_known(high))
+        return self._interval_box.frame(word, accepted)
+
     def quality(self, estimate: Estimate, accepted: int) -> Frame:
         """SocQuality: innovation, NIS and predicted voltage of the cell with the largest NIS."""
         nis = estimate.nis
@@ -93,7 +104,7 @@ class Encoder:
     def state(self, estimate: Estimate, detail: Detail, accepted: int) -> Frame:
         """BmsState: fault bits, what became of a stored belief, lowest and highest SoC of the cells."""
         soc = estimate.soc if estimate.status in _AVAILABLE else NAN
-        lowest, highest = (soc, soc) if isinstance(soc, float) else (-largest_known(-soc), largest_known(soc))
+        lowest, highest = smallest_known(soc), largest_known(soc)
         word = self._faults.insert(estimate.faults) | detail.stored << self._stored_shift
         word |= self._soc_min(lowest) | self._soc_max(highest)
         return self._state_box.frame(word, accepted)

@@ -220,6 +220,10 @@ class Estimator(PerCell):
     def restore(self, snapshot: bytes) -> None:
         """Go back to a `snapshot`. Raises ValueError, changing nothing, if cell file, tuning or size differ."""
         magic, params_hash, body_hash, body = snapshot[:8], snapshot[8:40], snapshot[40:72], snapshot[72:]
+        if magic != _MAGIC and magic.startswith(_MAGIC[:6]):
+            raise ValueError(
+                f"a snapshot of another version ({magic.decode('ascii', 'replace')}, not {_MAGIC.decode()})"
+            )
         if magic != _MAGIC or len(body) != _BODY.size + self._state.nbytes + self._io.nbytes:
             raise ValueError(f"not a snapshot of {self.cells} cells by this version")
         if params_hash != self._params_hash():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bms_ukf.daemon import Daemon
 from bms_ukf.errors import ConfigError
 from bms_ukf.pack import Ageing
-from bms_ukf.records import Fault, Status, largest_known, mean_known
+from bms_ukf.records import Fault, Status, largest_known, mean_known, smallest_known
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -47,7 +47,13 @@ class Exporter:
         daemon, estimate = self._daemon, self._daemon.estimate
         for name, text, value in (
             ("soc_ratio", "State of charge, mean of the cells", mean_known(estimate.soc)),
-            ("soc_sigma_ratio", "Its standard deviation, the largest of the cells", largest_known(estimate.soc_sigma)),
+            (
+                "soc_sigma_ratio",
+                "A 3.92th of its 95 % interval, the largest of the cells",
+                largest_known(estimate.soc_sigma),
+            ),
+            ("soc_low_ratio", "Lower bound of its 95 % interval, smallest of cells", smallest_known(estimate.soc_low)),
+            ("soc_high_ratio", "Upper bound, the largest of the cells", largest_known(estimate.soc_high)),
             ("information_age_seconds", "Since a voltage was last used", largest_known(estimate.age_s)),
             ("current_bias_amperes", "What the current sensor shows too much", daemon.current_bias_A()),
         ):

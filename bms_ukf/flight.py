@@ -5,7 +5,7 @@ follow, oldest first, each a length (uint32), a snapshot of the estimator, a len
 a cell is given another capacity, which the snapshot of the next one has:
 
     kind (bits of KIND), t_ns · current_A, voltage_V, temperature_degC · mean SoC, largest sigma, status, faults,
-    CRC-32 of all cells' SoC and sigma · for each array a count, the indices (uint16) and values (float64)
+    CRC-32 of all cells' SoC, sigma and bounds · for each array a count, the indices (uint16) and values (float64)
 
 little-endian. Arrays are of cells, sensors or strings; what was not measured is left out.
 """
@@ -30,7 +30,7 @@ from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Statu
 log = logging.getLogger(__name__)
 
 SUFFIX = ".flight"
-FORMAT = 2  # 1 had no strings
+FORMAT = 3  # 2 had no bounds in the CRC, 1 no strings
 HEADER = ("format", "reason", "written", "cells", "precision", "cell", "tuning")
 ENTRY = struct.Struct("<BqdddddBII")
 COUNT = struct.Struct("<H")
@@ -142,12 +142,11 @@ def words(faults: Fault) -> str:
 
 
 def summary(estimate: Estimate) -> tuple[float, float, int, int, int]:
-    """Mean SoC, largest sigma, status, faults and a CRC of all there is of SoC and sigma."""
-    soc, sigma = estimate.soc, estimate.soc_sigma
-    if isinstance(soc, float) and isinstance(sigma, float):
-        return soc, sigma, int(estimate.status), int(estimate.faults), 0
-    soc, sigma = np.asarray(soc), np.asarray(sigma)
-    crc = zlib.crc32(sigma.tobytes(), zlib.crc32(soc.tobytes()))
+    """Mean SoC, largest sigma, status, faults and a CRC of all cells' SoC, sigma and bounds."""
+    soc, sigma = np.asarray(estimate.soc), np.asarray(estimate.soc_sigma)
+    crc = 0
+    for values in (soc, sigma, np.asarray(estimate.soc_low), np.asarray(estimate.soc_high)):
+        crc = zlib.crc32(values.tobytes(), crc)
     return float(soc.mean()), float(sigma.max()), int(estimate.status), int(estimate.faults), crc
 
 

@@ -1,4 +1,4 @@
-"""How good an estimate was: errors against a reference SoC, whether the error bar was honest, and the goals for both.
+"""How good an estimate was: errors against a reference SoC, whether the interval was honest, and the goals for both.
 
 The keys and their meaning are part of the summary JSON that users' scripts read.
 """
@@ -11,39 +11,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bms_ukf import honesty
+
 SETTLED_PCT = 2.0  # an estimate has settled when its error stays within this
 PAD_S = 600.0  # the second set of figures leaves out the time the estimator needs to find the state
-SIGMAS_95 = 1.96  # half width of the 95 % band of a normal distribution
 
 
 def score(
-    t_s: ArrayLike, soc: ArrayLike, soc_sigma: ArrayLike, soc_ref: ArrayLike, soc_ref_sigma: ArrayLike = 0.0
+    t_s: ArrayLike,
+    soc: ArrayLike,
+    interval: tuple[ArrayLike, ArrayLike],
+    soc_ref: ArrayLike,
+    soc_ref_sigma: float = 0.0,
 ) -> dict[str, Any]:
     """Errors of an estimate (estimate minus reference) over all rows and, under `"after_600s"`, from 600 s on.
 
-    All arrays have shape (n,), SoC and sigmas are 0..1, time increases. Rows without a reference (NaN) are left out;
-    rows with a reference where the estimate or its sigma is not available (NaN) are counted and cannot settle.
+    All arrays have shape (n,), SoC and the bounds of its 95 % `interval` are 0..1, time increases. Rows without a
+    reference (NaN) are left out; rows with a reference where the estimate or a bound is not available (NaN) are counted
+    and cannot settle.
 
     Returns:
         `n_scored` and `n_unavailable`, then, None where there is nothing to score:
         `rmse_pct`, `mae_pct`, `max_pct` (largest absolute error), `bias_pct` (mean error), `coverage95` (share of rows
-        whose error lies within 1.96 sqrt(soc_sigma^2 + soc_ref_sigma^2)), `settled_s` (seconds from the first row until
-        the error stays within 2 %).
+        whose reference is inside the interval, as `honesty.inside` has it), `settled_s` (seconds from the first row
+        until the error stays within 2 %).
     """
     time_s = np.asarray(t_s, dtype=np.float64)
     elapsed_s = time_s - time_s[:1]
     reference = np.asarray(soc_ref, dtype=np.float64)
     error = np.asarray(soc, dtype=np.float64) - reference
-    band = SIGMAS_95 * np.hypot(soc_sigma, soc_ref_sigma)
+    low, high = (np.asarray(bound, dtype=np.float64) for bound in interval)
+    error = np.where(np.isfinite(low + high), error, np.nan)
+    inside = honesty.inside(low, high, reference, soc_ref_sigma)
 
     known = np.isfinite(reference)
-    elapsed_s, error, band = elapsed_s[known], error[known], band[known]
+    elapsed_s, error, inside = elapsed_s[known], error[known], inside[known]
     late = elapsed_s >= PAD_S
-    return _window(elapsed_s, error, band) | {"after_600s": _window(elapsed_s[late], error[late], band[late])}
+    return _window(elapsed_s, error, inside) | {"after_600s": _window(elapsed_s[late], error[late], inside[late])}
 
 
-def _window(elapsed_s: NDArray[np.float64], error: NDArray[np.float64], band: NDArray[np.float64]) -> dict[str, Any]:
-    available = np.isfinite(error) & np.isfinite(band)
+def _window(elapsed_s: NDArray[np.float64], error: NDArray[np.float64], inside: NDArray[np.bool_]) -> dict[str, Any]:
+    available = np.isfinite(error)
     counts = {"n_scored": int(available.sum()), "n_unavailable": int((~available).sum())}
     if not available.any():
         return counts | dict.fromkeys(("rmse_pct", "mae_pct", "max_pct", "bias_pct", "coverage95", "settled_s"))
@@ -55,7 +63,7 @@ def _window(elapsed_s: NDArray[np.float64], error: NDArray[np.float64], band: ND
         "mae_pct": float(np.mean(np.abs(error_pct))),
         "max_pct": float(np.max(np.abs(error_pct))),
         "bias_pct": float(np.mean(error_pct)),
-        "coverage95": float(np.mean(np.abs(error[available]) <= band[available])),
+        "coverage95": float(np.mean(inside[available])),
         "settled_s": float(elapsed_s[first_settled]) if first_settled < elapsed_s.size else None,
     }
 
@@ -74,7 +82,9 @@ def judge(summary: dict[str, Any]) -> list[Check]:
     """The goals, each with what the summary of a run reached, in percent. A run below 600 s has no goal after them."""
     late, coverage = summary["after_600s"], summary["coverage95"]
     covered = None if coverage is None else 100 * coverage
-    checks = [Check("95 % band holds the truth", covered, "90 to 100 %", covered is not None and 90 <= covered <= 100)]
+    checks = [
+        Check("95 % interval holds the truth", covered, "90 to 100 %", covered is not None and 90 <= covered <= 100)
+    ]
     if late["n_scored"] or late["n_unavailable"]:
         rmse = late["rmse_pct"]
         checks.insert(0, Check("SoC RMSE after 600 s", rmse, "at most 1 %", rmse is not None and rmse <= 1))

@@ -64,8 +64,9 @@ class SampleEncoder:
 class EstimateDecoder(Inbox[Estimate]):
     """Turns the frames of an `Encoder` back into estimates; see `Inbox.decode`.
 
-    SocEstimate closes a set: it gives an `Estimate` that holds its own signals and those of the SocQuality and BmsState
-    received since the one before, the rest NaN. A pack's values are those the messages give: mean, largest or worst.
+    SocEstimate closes a set: it gives an `Estimate` that holds its own signals and those of the SocInterval, SocQuality
+    and BmsState received since the one before, the rest NaN. A pack's values are those the messages give: mean, largest
+    or worst.
     """
 
     def __init__(self) -> None:
@@ -82,12 +83,15 @@ class EstimateDecoder(Inbox[Estimate]):
         self._innovation = field_of("SocQuality.Innovation").extract()
         self._nis = field_of("SocQuality.Nis").extract()
         self._faults = FaultBits()
+        self._low = field_of("SocInterval.SocLow").extract(0.01)
+        self._high = field_of("SocInterval.SocHigh").extract(0.01)
         self._open = Estimate()
         super().__init__(
             {
                 matrix.message("SocEstimate"): self._read_estimate,
                 matrix.message("SocQuality"): self._read_quality,
                 matrix.message("BmsState"): self._read_state,
+                matrix.message("SocInterval"): self._read_interval,
             }
         )
 
@@ -103,6 +107,9 @@ class EstimateDecoder(Inbox[Estimate]):
     def _read_quality(self, data: bytes, _: int) -> None:
         self._open.voltage_pred_V = self._voltage_pred(data)
         self._open.innovation_V, self._open.nis = self._innovation(data), self._nis(data)
+
+    def _read_interval(self, data: bytes, _: int) -> None:
+        self._open.soc_low, self._open.soc_high = self._low(data), self._high(data)
 
     def _read_state(self, data: bytes, _: int) -> None:
         self._open.faults = self._faults.extract(data)

@@ -34,6 +34,8 @@ SELDOM = {
         "FirstSilentCell": ("silent_cell", 1.0),
     },
 }
+# The paged messages, with the fields of an Estimate that they have of every cell.
+OF_CELLS = {"CellSoc": "soc", "CellSigma": "soc_sigma", "CellLow": "soc_low", "CellHigh": "soc_high"}
 # From 0 inside, from 1 on the bus.
 CELL_NUMBERS = {"discharge_cell", "charge_cell", "silent_cell", "capacity_cell", "resistance_cell", "cell"}
 
@@ -42,8 +44,8 @@ class PackEncoder:
     """Turns what is known of a pack into frames; the alive counters are as those of `encoder.Encoder`.
 
     PackState, PackCurrents and PackPowers go with every set, PackEnergy and PackTimes once a second, StringBias with
-    them if there are several strings. Of several cells the pages of CellSoc and CellSigma follow each other so that all
-    are sent within a period.
+    them if there are several strings. Of several cells the pages of CellSoc, CellSigma, CellLow and CellHigh follow
+    each other so that all are sent within a period.
     """
 
     def __init__(self, cells: int, cell_soc_period_s: float, strings: int = 1) -> None:
@@ -53,9 +55,9 @@ class PackEncoder:
         self._seldom_ns: int | None = None
         self._bias = Pages(matrix, "StringBias", "String", strings) if strings > 1 else None
         self._biases_told = self._bias_accepted = 0
-        self._soc = Pages(matrix, "CellSoc", "Cell", cells, 0.01)
-        self._sigma = Pages(matrix, "CellSigma", "Cell", cells, 0.01)
-        self._apart_ns = int(1e9 * cell_soc_period_s / self._soc.count) if cells > 1 else None
+        self._of_cells = [(field, Pages(matrix, name, "Cell", cells, 0.01)) for name, field in OF_CELLS.items()]
+        self._pages = self._of_cells[0][1].count
+        self._apart_ns = int(1e9 * cell_soc_period_s / self._pages) if cells > 1 else None
         self._page_ns: int | None = None  # when the next page is due
         self._page = self._pages_told = self._accepted = 0
 
@@ -83,20 +85,18 @@ class PackEncoder:
     def _cells(self, t_ns: int, estimate: Estimate, accepted: int) -> list[Frame]:
         if self._apart_ns is None:
             return []
-        pages = self._soc.count
         if self._page_ns is None:
             self._page_ns = t_ns
-        self._page_ns = max(self._page_ns, t_ns - (pages - 1) * self._apart_ns)  # after a silence, no page twice
+        self._page_ns = max(self._page_ns, t_ns - (self._pages - 1) * self._apart_ns)  # after a silence, no page twice
         known = estimate.status in {Status.OK, Status.DEGRADED}
-        soc, sigma = (estimate.soc, estimate.soc_sigma) if known else (NAN, NAN)
         moves = accepted != self._accepted  # a counter that stands still would have all pages but one refused
         self._accepted = accepted
         frames = []
         while self._page_ns <= t_ns:
             self._pages_told += moves
-            frames.append(self._soc.frame(self._page, soc, self._pages_told))
-            frames.append(self._sigma.frame(self._page, sigma, self._pages_told))
-            self._page = (self._page + 1) % pages
+            for field, pages in self._of_cells:
+                frames.append(pages.frame(self._page, getattr(estimate, field) if known else NAN, self._pages_told))
+            self._page = (self._page + 1) % self._pages
             self._page_ns += self._apart_ns
         return frames
 

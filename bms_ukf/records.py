@@ -144,3 +144,8 @@ def mean_known(values: PerCell) -> float:
 def largest_known(values: PerCell) -> float:
     """Of those cells that are not NaN, and NaN without any."""
     return values if isinstance(values, float) else float(np.fmax.reduce(values))
+
+
+def smallest_known(values: PerCell) -> float:
+    """Return the smallest of the cells that are not NaN, and NaN without any."""
+    return values if isinstance(values, float) else float(np.fmin.reduce(values))

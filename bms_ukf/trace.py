@@ -3,7 +3,7 @@
 | column | meaning |
 |---|---|
 | `time_s` | time of the sample |
-| `soc`, `soc_sigma` | estimate and its standard deviation, 0..1 |
+| `soc`, `soc_sigma` | estimate, 0..1; its 95 % interval is 3.92 `soc_sigma` wide |
 | `voltage_pred_V` | terminal voltage predicted before the measured one was fused |
 | `innovation_V`, `nis` | measured minus predicted; its square over its variance |
 | `status`, `faults` | words of `records.Status` and `records.Fault`, faults joined by a bar |
@@ -11,8 +11,9 @@
 | `current_A`, `voltage_V`, `temperature_degC` | what the estimator got; positive = discharge |
 | `current_true_A`, `voltage_true_V`, `temperature_true_degC` | what the plant gave, before the sensors |
 | `current_bias_A`, `r0_ohm`, `soh` | what the estimator has learnt of the sensor and the cell, where it does |
+| `soc_low`, `soc_high` | 95 % interval of SoC, 0..1: of a pack the smallest and the largest bound of its cells |
 
-In a CSV a missing value is an empty field, and a column from `soc_ref` on is left out when all of it is missing.
+In a CSV a missing value is an empty field. A column from `soc_ref` to `soh` is left out if all its values are missing.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ _OPTIONAL = (
     "r0_ohm",
     "soh",
 )
-_NUMBERS = _ESTIMATED + _OPTIONAL
+_INTERVAL = ("soc_low", "soc_high")
+_NUMBERS = _ESTIMATED + _OPTIONAL + _INTERVAL
 _APPENDED = _NUMBERS.index("current_bias_A") + 1
 _UNKNOWN = Sample(0)
 
@@ -94,6 +96,11 @@ class Trace:
     def __getitem__(self, column: str) -> NDArray[np.float64]:
         return self._numbers[: self._n, _NUMBERS.index(column)]
 
+    @property
+    def interval(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper bound of SoC, 0..1; NaN in rows without a SoC."""
+        return self["soc_low"], self["soc_high"]
+
     def append(self, sample: Sample, estimate: Estimate, soc_ref: float = NAN, true: Sample = _UNKNOWN) -> None:
         """Add a row stamped by `sample`. `true` holds the plant's own values. Views taken before may not show it."""
         row = self._n
@@ -115,6 +122,7 @@ class Trace:
             true.temperature_degC,
             estimate.current_bias_A,
         )
+        self._numbers[row, -2:] = estimate.soc_low, estimate.soc_high
         self._words[row] = estimate.status, estimate.faults
         self._n = row + 1
 
@@ -126,13 +134,14 @@ class Trace:
 
     def columns(self) -> dict[str, NDArray[np.float64] | list[str]]:
         """What a file holds, by column: `time_s`, numbers as they are, `status` and `faults` in words."""
-        optional = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
+        last = [name for name in _OPTIONAL if np.isfinite(self[name]).any()]
+        last += _INTERVAL
         words: dict[str, NDArray[np.float64] | list[str]] = {
             "status": [Status(value).word for value in self.status.tolist()],
             "faults": [_fault_words(value) for value in self.faults.tolist()],
         }
         estimated = {name: self[name] for name in _ESTIMATED}
-        return {"time_s": self.t_ns / 1e9} | estimated | words | {name: self[name] for name in optional}
+        return {"time_s": self.t_ns / 1e9} | estimated | words | {name: self[name] for name in last}
 
     def write_csv(self, path: Path) -> None:
         """Write all rows, numbers with 9 significant digits. Raises ConfigError if `path` cannot be written."""

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bms_ukf import metrics
-from bms_ukf.records import Fault, Status
+from bms_ukf.records import Estimate, Fault, Status
 
 if TYPE_CHECKING:
     from bms_ukf.cosim import Progress
@@ -80,13 +80,12 @@ class LiveView:
     def panel(self, progress: Progress) -> Panel:
         """The whole view, at most `WIDTH` wide and 20 lines high."""
         sample, estimate, true = progress.sample, progress.estimate, progress.true
-        band_pct = 100 * metrics.SIGMAS_95 * float(estimate.soc_sigma)
         table = Table.grid(padding=(0, 2))
         for _ in range(2):
             table.add_column(width=15, style="dim")
             table.add_column(width=15, justify="right")
         table.add_row("SoC estimated", _number(100 * float(estimate.soc), "%", 2), "voltage", _volt(sample.voltage_V))
-        table.add_row("95 % band", _number(band_pct, "%", 2, "±"), "predicted", _volt(estimate.voltage_pred_V))
+        table.add_row("95 % interval", _interval(estimate), "predicted", _volt(estimate.voltage_pred_V))
         table.add_row("SoC true", _number(100 * float(true.soc), "%", 2), "current", _number(sample.current_A, "A", 2))
         table.add_row(
             "SoC error", self._error(progress), "temperature", _number(float(sample.temperature_degC), "°C", 1)
@@ -106,8 +105,9 @@ class LiveView:
 
     def _error(self, progress: Progress) -> Text:
         error_pct = _error_pct(progress)
-        band_pct = 100 * metrics.SIGMAS_95 * float(progress.estimate.soc_sigma)
-        style = "green" if abs(error_pct) <= band_pct else "red"
+        estimate = progress.estimate
+        inside = estimate.soc_low <= min(max(float(progress.true.soc), 0.0), 1.0) <= estimate.soc_high
+        style = "green" if inside else "red"
         return Text(_number(error_pct, "%", 2, "+"), style=style)
 
     def _history(self) -> Group:
@@ -167,13 +167,17 @@ def _head(progress: Progress) -> Table:
     return head
 
 
+def _interval(estimate: Estimate) -> str:
+    low, high = 100 * float(estimate.soc_low), 100 * float(estimate.soc_high)
+    return "–" if math.isnan(low + high) else f"{low:.2f}–{high:.2f} %"
+
+
 def _plain_line(title: str, progress: Progress) -> str:
     estimate = progress.estimate
     simulated_s = progress.sample.t_ns * 1e-9
-    band_pct = 100 * metrics.SIGMAS_95 * float(estimate.soc_sigma)
     return (
         f"{title}: {progress.step / progress.steps:4.0%}  {_clock(simulated_s)}  "
-        f"SoC {_number(100 * float(estimate.soc), '%', 2)} {_number(band_pct, '%', 2, '±')}  "
+        f"SoC {_number(100 * float(estimate.soc), '%', 2)} ({_interval(estimate)})  "
         f"true {_number(100 * float(progress.true.soc), '%', 2)}  error {_number(_error_pct(progress), '%', 2, '+')}  "
         f"{estimate.status.word}"
     )

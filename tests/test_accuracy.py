@@ -53,14 +53,14 @@ def driven(drive: Drive, step_s: float = 1.0) -> np.ndarray:
 def estimated(
     cell: CellParams, true: np.ndarray, tuning: Tuning, offset_A: float, step_s: float = 1.0, seed: int = 1
 ) -> np.ndarray:
-    """SoC and its sigma, a row a step, from sensors that are not perfect."""
+    """SoC, its sigma and its bounds, a row a step, from sensors that are not perfect."""
     noise = np.random.default_rng(seed).standard_normal((len(true), 3)) * [0.02, 0.002, 0.2]
     current = true[:, 0] + offset_A + noise[:, 0]
     voltage = np.round(true[:, 1] + noise[:, 1], 3)
     temperature = np.round(2 * (true[:, 2] + noise[:, 2])) / 2
     t_ns = np.arange(len(true)) * round(step_s * 1e9)
     got = Estimator(cell, tuning=tuning).replay(t_ns, current, voltage, temperature)
-    return np.column_stack([got["soc"], got["soc_sigma"]])
+    return np.column_stack([got[name] for name in ("soc", "soc_sigma", "soc_low", "soc_high")])
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def scored(cell: CellParams, truths: dict[str, np.ndarray], **tuning: float) -> 
             )
             for offset_A in OFFSETS_A:
                 result = estimated(cell, true, Tuning(**told, **tuning), offset_A)
-                score = metrics.score(np.arange(len(true)), result[:, 0], result[:, 1], true[:, 3])
+                score = metrics.score(np.arange(len(true)), result[:, 0], (result[:, 2], result[:, 3]), true[:, 3])
                 table.setdefault(name, []).append(score)
     return table
 
@@ -150,7 +150,7 @@ def test_ten_voltages_a_second_do_not_make_the_band_dishonest(cell, soc):
     for seed in range(3):
         told = Tuning(initial_soc=soc - 0.2, initial_soc_sigma=0.2)
         result = estimated(cell, true, told, 0.05, 0.1, seed)
-        score = metrics.score(time_s, result[:, 0], result[:, 1], true[:, 3])
+        score = metrics.score(time_s, result[:, 0], (result[:, 2], result[:, 3]), true[:, 3])
         assert score["after_600s"]["rmse_pct"] < 1.0
         held.append(score["coverage95"])
     assert np.mean(held) > 0.9

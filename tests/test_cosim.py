@@ -95,7 +95,7 @@ def test_direct_and_over_the_bus_agree_within_dbc_quantisation_row_by_row(direct
 
 def test_the_bus_carried_every_frame(virtual):
     trace, summary = virtual
-    assert (summary["frames_in"], summary["frames_out"]) == (3 * len(trace), 5 * len(trace))
+    assert (summary["frames_in"], summary["frames_out"]) == (3 * len(trace), 6 * len(trace))
     assert not np.any(trace.faults & (Fault.E2E | Fault.BUS))
 
 
@@ -159,7 +159,7 @@ def test_every_step_is_shown_to_the_one_who_watches():
         Path("test"),
         lambda progress: seen.append((progress.step, progress.steps, progress.frames_in, progress.frames_out)),
     )
-    assert seen == [(k, 5, 3 * k, 5 * k) for k in range(1, 6)]
+    assert seen == [(k, 5, 3 * k, 6 * k) for k in range(1, 6)]
     assert len(trace) == 5
 
 

@@ -24,6 +24,7 @@ RECORDED = {
     "CellTemperatures": "e5000053f7ffffff",
     "CellVoltages": "c300003af7ffffff",
     "SocDetail": "7e2018570102f47f",
+    "SocInterval": "8500e4528c5a0000",
     "BmsState": "ac004000b856b856",
     "SocQuality": "3710800839f82d01",
     "SocEstimate": "bd10b856f4010a00",
@@ -38,6 +39,8 @@ ESTIMATE = Estimate(
     age_s=0.1,
     status=Status.OK,
     faults=Fault.E2E,
+    soc_low=0.5305,
+    soc_high=0.5795,
 )
 DETAIL = Detail(soc_slewed=0.5574, source=Source.START, current_bias_A=-0.01)
 
@@ -48,7 +51,7 @@ def estimate(**values: Any) -> Estimate:
 
 def shown(frame: Frame) -> dict[str, Any]:
     """The signals of a frame of ours as cantools reads them."""
-    names = ["PackMeasurement", "SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth"]
+    names = ["PackMeasurement", "SocEstimate", "SocQuality", "BmsState", "SocDetail", "SocInterval", "BusHealth"]
     return next(m for m in map(own_matrix().message, names) if m.frame_id == frame[0]).decode(frame[2])
 
 
@@ -67,17 +70,18 @@ def test_recorded_good_frames_are_made_again_to_the_byte() -> None:
 
 def test_an_estimate_comes_back_as_it_was_sent() -> None:
     decoder = EstimateDecoder()
-    _, state, quality, soc = Encoder().encode(ESTIMATE, DETAIL, accepted=1)
+    _, interval, state, quality, soc = Encoder().encode(ESTIMATE, DETAIL, accepted=1)
+    assert decoder.decode(*interval, 4) is None
     assert decoder.decode(*state, 5) is None
     assert decoder.decode(*quality, 6) is None
     got = decoder.decode(*soc, 7)
     assert got is not None
     assert (got.status, got.faults) == (ESTIMATE.status, ESTIMATE.faults)
-    names = ["soc", "soc_sigma", "voltage_pred_V", "innovation_V", "nis", "age_s"]
+    names = ["soc", "soc_sigma", "voltage_pred_V", "innovation_V", "nis", "age_s", "soc_low", "soc_high"]
     assert [getattr(got, name) for name in names] == pytest.approx(
         [getattr(ESTIMATE, name) for name in names], abs=5e-6
     )
-    assert decoder.counters.accepted == 3
+    assert decoder.counters.accepted == 4
 
 
 def test_an_estimate_holds_only_what_was_received_since_the_one_before() -> None:
@@ -117,7 +121,7 @@ def test_any_estimate_can_be_sent_and_nothing_wraps(
 ) -> None:
     values = Estimate(0, soc, sigma, pred, innovation, NAN, nis, age, Status.OK, faults)
     decoder = EstimateDecoder()
-    _, state, quality, last = Encoder().encode(values, DETAIL, accepted=1)
+    _, _, state, quality, last = Encoder().encode(values, DETAIL, accepted=1)
     decoder.decode(*state, 0)
     decoder.decode(*quality, 0)
     got = decoder.decode(*last, 0)
@@ -154,7 +158,7 @@ def test_each_message_counts_its_own_frames() -> None:
 
 def test_an_estimator_that_never_accepted_anything_does_not_move_a_counter() -> None:
     encoder = Encoder()
-    assert len({frame for _ in range(4) for frame in encoder.encode(Estimate(), Detail(), accepted=0)}) == 4
+    assert len({frame for _ in range(4) for frame in encoder.encode(Estimate(), Detail(), accepted=0)}) == 5
 
 
 def test_a_pack_publishes_mean_spread_and_worst_of_the_cells_that_are_known() -> None:
@@ -165,10 +169,13 @@ def test_a_pack_publishes_mean_spread_and_worst_of_the_cells_that_are_known() ->
         innovation_V=np.array([NAN, 0.001, -0.02, NAN, NAN]),
         nis=np.array([NAN, 0.1, 9.0, NAN, NAN]),
         age_s=np.array([NAN, 0.0, 0.0, 1.0, 1.0]),
+        soc_low=np.array([NAN, 0.48, 0.47, 0.49, 0.47]),
+        soc_high=np.array([NAN, 0.52, 0.56, 0.53, 0.51]),
         status=Status.DEGRADED,
     )
-    detail, state, quality, last = Encoder().encode(pack, DETAIL, accepted=1)
+    detail, interval, state, quality, last = Encoder().encode(pack, DETAIL, accepted=1)
     assert (shown(state)["SocMin"], shown(state)["SocMax"]) == (pytest.approx(49.0), pytest.approx(52.0))
+    assert (shown(interval)["SocLow"], shown(interval)["SocHigh"]) == (pytest.approx(47.0), pytest.approx(56.0))
     assert (shown(detail)["MinCell"], shown(detail)["MaxCell"]) == (5, 3)
     assert (shown(quality)["WorstCell"], shown(quality)["Innovation"]) == (3, pytest.approx(-0.02))
     assert (shown(last)["Soc"], shown(last)["SocSigma"]) == (pytest.approx(50.5, abs=0.0013), pytest.approx(2.0))

@@ -33,8 +33,8 @@ PLANT = Path(__file__).resolve().parents[1] / "models" / "plants" / "lgm50_spme.
 AARCH64 = "aarch64-linux"
 TOOLS = ["aarch64-linux-gnu-gcc", "qemu-aarch64"]
 PACKAGES = "gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user"
-INPUTS, REALS, INTEGERS = [0, 1, 2], [3, 4, 5, 6], [7, 8]
-TIME = 9  # FMI 3.0
+INPUTS, REALS, INTEGERS = [0, 1, 2], [3, 4, 5, 6, 7, 8], [9, 10]
+TIME = 11  # FMI 3.0
 STEP_S = 0.5
 ROUNDING = 1e-12
 
@@ -81,7 +81,7 @@ def instance(unpacked: Path) -> Iterator[Any]:
 
 
 def outputs(slave: Any) -> list[float]:
-    """soc, soc_sigma, innovation_V, voltage_pred_V, status, faults."""
+    """soc, soc_sigma, innovation_V, voltage_pred_V, soc_low, soc_high, status, faults."""
     if isinstance(slave, fmi2.FMU2Slave):
         return [*slave.getReal(REALS), *slave.getInteger(INTEGERS)]
     return [*slave.getFloat64(REALS), *slave.getInt32(INTEGERS)]
@@ -107,17 +107,17 @@ def measured() -> NDArray[np.float64]:
 
 @pytest.fixture(scope="module")
 def expected(cell: CellParams, measured: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The Python estimator's outputs; shape (600, 6)."""
+    """The Python estimator's outputs; shape (600, 8)."""
     estimator, rows = Estimator(cell), []
     for k, (current, voltage, temperature) in enumerate(measured, start=1):
         e = estimator.step(Sample(round(k * STEP_S * 1e9), current, voltage, temperature))
-        rows.append([e.soc, e.soc_sigma, e.innovation_V, e.voltage_pred_V, e.status, e.faults])
+        rows.append([e.soc, e.soc_sigma, e.innovation_V, e.voltage_pred_V, e.soc_low, e.soc_high, e.status, e.faults])
     return np.array(rows, float)
 
 
 def assert_same(found: NDArray[np.float64], expected: NDArray[np.float64]) -> None:
-    np.testing.assert_array_equal(found[:, 4:], expected[:, 4:])
-    np.testing.assert_allclose(found[:, :4], expected[:, :4], rtol=0, atol=ROUNDING)
+    np.testing.assert_array_equal(found[:, 6:], expected[:, 6:])
+    np.testing.assert_allclose(found[:, :6], expected[:, :6], rtol=0, atol=ROUNDING)
 
 
 def test_fmpy_finds_nothing_wrong(fmu):
@@ -128,11 +128,11 @@ def test_the_fmu_is_the_python_estimator_to_rounding_through_gaps_and_faults(unp
     with instance(unpacked) as slave:
         found = np.array([step(slave, k, row) for k, row in enumerate(measured)])
     assert_same(found, expected)
-    seen = Fault(int(np.bitwise_or.reduce(expected[:, 5].astype(int))))
+    seen = Fault(int(np.bitwise_or.reduce(expected[:, 7].astype(int))))
     assert seen & Fault.CURRENT_MISSING
     assert seen & Fault.VOLTAGE_MISSING
     assert seen & Fault.VOLTAGE_IMPLAUSIBLE
-    assert {*expected[:, 4]} >= {Status.OK, Status.DEGRADED}
+    assert {*expected[:, 6]} >= {Status.OK, Status.DEGRADED}
     assert np.isfinite(expected[:, 0]).mean() > 0.9
 
 
@@ -156,7 +156,7 @@ def test_a_state_taken_and_set_and_one_that_was_bytes_go_on_where_they_were(unpa
 
 def test_what_nobody_connects_is_a_fault_and_no_soc(unpacked):
     with instance(unpacked) as slave:
-        assert np.isnan(outputs(slave)[:4]).all()
+        assert np.isnan(outputs(slave)[:6]).all()
         for k in range(20):
             slave.doStep(float(k), 1.0)
         soc, *_, status, faults = outputs(slave)

@@ -28,6 +28,8 @@ from bms_ukf.tuning import Tuning
 FIELDS = {
     "SOC": "soc",
     "SOC_SIGMA": "soc_sigma",
+    "SOC_LOW": "soc_low",
+    "SOC_HIGH": "soc_high",
     "VOLTAGE_PRED": "voltage_pred_V",
     "INNOVATION": "innovation_V",
     "INNOVATION_VAR": "innovation_var_V2",

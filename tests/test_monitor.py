@@ -72,6 +72,7 @@ class Told:
                 self.t_ns, each, all_of(0.01), all_of(3.7), all_of(0.002), all_of(1e-6), all_of(1.5), all_of(0.0)
             )
             known.status, known.faults = status, faults
+            known.soc_low, known.soc_high = each - 0.024, each + 0.024
             self.take(self._in.encode(Sample(0, 1.0, all_of(3.7), 25.0)))
             if self.cells > 1:
                 self.take(self._pack.encode(self.t_ns, known, self.pack, n))
@@ -128,7 +129,7 @@ def test_what_was_published_is_what_is_shown():
     told.step(100, Fault.CURRENT_SIGN, Status.DEGRADED)
     text = told.shown()
     for words in (
-        "60.00 % ± 1.96 % (95 %)",
+        "60.00 % 95 % 57.6–62.4 %",
         "status degraded",
         "by a voltage at rest",
         "predicted    3.7000 V",
@@ -189,7 +190,7 @@ def test_messages_in_trouble_are_never_those_left_out():
 def test_a_cell_that_was_never_heard_of_is_no_zero():
     told = Told(6)
     told.step(20)
-    told.watch.cells_pct[2] = math.nan
+    told.watch.of_cells_pct["CellSoc"][2] = math.nan
     assert "?" in told.shown()
     assert "58.0 % (1)" in told.shown()
 
@@ -199,7 +200,7 @@ def test_silence_is_not_shown_as_a_soc():
     assert "no SoC frames yet" in told.shown()
     told.step(50)
     text = told.shown(later_ns=8 * 10**9)
-    assert "60.00 % ±" not in text
+    assert "60.00 % 95 %" not in text
     assert "not available" in text
     assert "no new SoC for 8 s" in text
     assert "silent" in text
@@ -251,13 +252,14 @@ def test_on_a_bus_without_a_terminal_it_prints_a_line_a_second(monkeypatch, caps
     monkeypatch.setattr(command, "open_bus", lambda *_: open_bus(settings, "monitor"))
     opened = command.open_bus(settings, "now", None)
     monkeypatch.setattr(command, "open_bus", lambda *_: opened)
-    for frame in encoder.encode(Estimate(status=Status.OK, soc=0.5, soc_sigma=0.01), Detail(), 1):
+    known = Estimate(status=Status.OK, soc=0.5, soc_sigma=0.01, soc_low=0.48, soc_high=0.52)
+    for frame in encoder.encode(known, Detail(), 1):
         daemon.send(can.Message(0.0, *frame[:2], data=frame[2]))
     command.monitor(None, "socketcan", "can0", seconds=1.3)
     daemon.shutdown()
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "no SoC frames"
-    assert lines[-1] == "SoC 50.00 % ± 1.96 %  ok"
+    assert lines[-1] == "SoC 50.00 % (95 %: 48.0–52.0 %)  ok"
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from bms_ukf.dbc import own_matrix
 from bms_ukf.frames import Frame, Inbox
 from bms_ukf.pack import PackEstimate
-from bms_ukf.pack_encoder import OFTEN, SELDOM, PackEncoder
+from bms_ukf.pack_encoder import OF_CELLS, OFTEN, SELDOM, PackEncoder
 from bms_ukf.records import NAN, Estimate, Status
 
 SECOND_NS = 1_000_000_000
@@ -33,11 +33,12 @@ PACK = PackEstimate(
     silent=2,
     silent_cell=7,
 )
-MATRIX = [own_matrix().message(name) for name in (*OFTEN, *SELDOM, "CellSoc", "CellSigma")]
+MATRIX = [own_matrix().message(name) for name in (*OFTEN, *SELDOM, *OF_CELLS)]
 
 
 def known(cells: int, status: Status = Status.OK) -> Estimate:
-    return Estimate(soc=np.linspace(0.4, 0.6, cells), soc_sigma=np.linspace(0.01, 0.03, cells), status=status)
+    soc, sigma = np.linspace(0.4, 0.6, cells), np.linspace(0.01, 0.03, cells)
+    return Estimate(soc=soc, soc_sigma=sigma, soc_low=soc - 1.96 * sigma, soc_high=soc + 1.96 * sigma, status=status)
 
 
 def shown(frames: list[Frame]) -> dict[str, Any]:
@@ -91,7 +92,7 @@ def test_the_slow_messages_go_once_a_second_and_the_fast_ones_with_every_set():
 def test_every_cell_is_told_once_a_period_and_accepted_by_a_receiver(cells: int, scan_ns: int):
     """With 400 cells pages go two at a time, now and then: their alive counters move by one all the same."""
     encoder, told = PackEncoder(cells, 10.0), known(cells)
-    pages = {name: np.full(402, math.nan) for name in ("CellSoc", "CellSigma")}
+    pages = {name: np.full(402, math.nan) for name in OF_CELLS}
     seen: list[str] = []
 
     def reader(name: str) -> Any:
@@ -113,12 +114,14 @@ def test_every_cell_is_told_once_a_period_and_accepted_by_a_receiver(cells: int,
         for frame in frames:
             inbox.decode(*frame, k * scan_ns)
     count = -(-cells // 3)
-    assert seen.count("CellSoc") == seen.count("CellSigma") == count + 1, "and the next round begun"
+    assert {seen.count(name) for name in OF_CELLS} == {count + 1}, "and the next round begun"
     assert (inbox.counters.refused, inbox.counters.lost) == (0, 0)
     assert pages["CellSoc"][:cells] == pytest.approx(100 * np.linspace(0.4, 0.6, cells), abs=0.00501)
     assert pages["CellSigma"][:cells] == pytest.approx(100 * np.linspace(0.01, 0.03, cells), abs=0.00501)
+    assert pages["CellLow"][:cells] == pytest.approx(100 * np.asarray(told.soc_low), abs=0.00501)
+    assert pages["CellHigh"][:cells] == pytest.approx(100 * np.asarray(told.soc_high), abs=0.00501)
     assert np.isnan(pages["CellSoc"][cells:]).all()
-    assert most <= 5 + 2 * math.ceil(count * scan_ns / 10 / SECOND_NS), "spread over the period"
+    assert most <= 5 + 4 * math.ceil(count * scan_ns / 10 / SECOND_NS), "spread over the period"
 
 
 def test_after_a_silence_no_page_is_made_up_for():

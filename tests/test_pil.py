@@ -31,6 +31,8 @@ ANSWER = np.dtype(
         ("SOC", "<f4"),
         ("SOC_SIGMA", "<f4"),
         ("INNOVATION", "<f4"),
+        ("SOC_LOW", "<f4"),
+        ("SOC_HIGH", "<f4"),
         ("instructions", "<u4"),
         ("stack", "<u4"),
     ]
@@ -96,7 +98,7 @@ def on_this_machine(samples, tmp_path_factory) -> np.ndarray:
     answers = np.zeros(len(samples), ANSWER)
     for answer, sample in zip(answers, samples, strict=True):
         answer["code"] = estimator.step(*sample.tolist())
-        for name in ("SOC", "SOC_SIGMA", "INNOVATION"):
+        for name in ("SOC", "SOC_SIGMA", "INNOVATION", "SOC_LOW", "SOC_HIGH"):
             answer[name] = estimator.get(name)
     return answers
 
@@ -159,7 +161,7 @@ def picolibc(board: Board) -> str | None:
 
 def test_the_trace_on_the_processor_is_that_of_this_machine_bit_for_bit(run):
     assert len(run.answers) == len(run.host) > 1800
-    for name in ("code", "SOC", "SOC_SIGMA", "INNOVATION"):
+    for name in ("code", "SOC", "SOC_SIGMA", "INNOVATION", "SOC_LOW", "SOC_HIGH"):
         np.testing.assert_array_equal(run.answers[name].view(np.uint32), run.host[name].view(np.uint32), err_msg=name)
     assert np.isfinite(run.answers["SOC"][1:]).all()
     assert np.ptp(run.answers["SOC"]) > 0.05

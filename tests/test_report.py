@@ -44,6 +44,7 @@ def run(rows: int = 5000, *, reference: bool = True, voltage: bool = True, avail
             innovation_V**2 / 9e-6,
             status=Status.OK,
         )
+        estimate.soc_low, estimate.soc_high = estimate.soc - 0.0196, estimate.soc + 0.0196
         missing = k == 0 or not available
         truth = Sample(t_ns, current_A, 3.2 + soc, 25.0)
         trace.append(measured, Estimate(t_ns) if missing else estimate, soc if reference else NAN, truth)
@@ -51,7 +52,7 @@ def run(rows: int = 5000, *, reference: bool = True, voltage: bool = True, avail
 
 
 def summary(trace: Trace) -> dict:
-    return RUN | metrics.score(trace.t_s, trace["soc"], trace["soc_sigma"], trace["soc_ref"])
+    return RUN | metrics.score(trace.t_s, trace["soc"], trace.interval, trace["soc_ref"])
 
 
 class Page(HTMLParser):

@@ -230,3 +230,15 @@ def test_health_of_another_cell_is_refused(stored_aged, caplog):
         assert told is Stored.FOREIGN
         assert np.isnan(back.told_capacity).all()
         assert "or of another cell file" in caplog.messages[-1]
+
+
+def test_a_belief_of_the_version_before_is_refused_by_name_and_the_health_beside_it_is_kept(stored_aged):
+    slot = slots.read(stored_aged)[0]
+    assert slot.content.count(b"BMSUKF04") == 1
+    slots.write(stored_aged, slot._replace(content=slot.content.replace(b"BMSUKF04", b"BMSUKF03")), None)
+    estimator = Estimator(CELL)
+    back = Health(estimator)
+    told, line = resume(estimator, stored_aged, NOW_NS, 7, MAX_AGE_S, back)
+    assert told is Stored.FOREIGN
+    assert "a snapshot of another version (BMSUKF03, not BMSUKF04)" in line
+    assert back.told_capacity[0] == pytest.approx(0.9)

@@ -20,6 +20,8 @@ ESTIMATE = Estimate(
     nis=0.25,
     status=Status.DEGRADED,
     faults=Fault.VOLTAGE_MISSING | Fault.E2E,
+    soc_low=0.48,
+    soc_high=0.53,
 )
 FULL = Sample(2_000_000_000, 1.5, 3.699, 25.5), ESTIMATE, 0.51, Sample(2_000_000_000, 1.4, 3.698, 25.4)
 EMPTY = Sample(1_100_000_000), Estimate()
@@ -52,6 +54,8 @@ def test_every_value_lands_in_the_column_of_its_name() -> None:
         "current_true_A": 1.4,
         "voltage_true_V": 3.698,
         "temperature_true_degC": 25.4,
+        "soc_low": 0.48,
+        "soc_high": 0.53,
     }
     assert {name: trace[name][0] for name in expected} == expected
     assert (trace.t_s[0], trace.status[0], trace.faults[0]) == (2.0, Status.DEGRADED, ESTIMATE.faults)
@@ -78,7 +82,13 @@ def test_missing_is_an_empty_field_and_not_zero(tmp_path: Path) -> None:
 
 def test_unknown_truth_has_no_columns(tmp_path: Path) -> None:
     trace_of(FULL[:2]).write_csv(tmp_path / "t.csv")
-    assert list(rows_of(tmp_path / "t.csv")[0])[8:] == ["current_A", "voltage_V", "temperature_degC"]
+    assert list(rows_of(tmp_path / "t.csv")[0])[8:] == [
+        "current_A",
+        "voltage_V",
+        "temperature_degC",
+        "soc_low",
+        "soc_high",
+    ]
 
 
 NUMBER = st.floats(-1e6, 1e6) | st.just(math.nan)
@@ -121,7 +131,9 @@ def test_a_place_that_cannot_be_written_is_named() -> None:
 
 def test_an_empty_trace_is_a_header(tmp_path: Path) -> None:
     Trace(0).write_csv(tmp_path / "t.csv")
-    assert (tmp_path / "t.csv").read_text() == "time_s,soc,soc_sigma,voltage_pred_V,innovation_V,nis,status,faults\n"
+    assert (
+        tmp_path / "t.csv"
+    ).read_text() == "time_s,soc,soc_sigma,voltage_pred_V,innovation_V,nis,status,faults,soc_low,soc_high\n"
     assert len(Trace.read_csv(tmp_path / "t.csv")) == 0
 
 

@@ -37,6 +37,7 @@ def progress(step: int = 500, soc: float = 0.51, sigma: float = 0.01, **changes:
         "frames": 3 * step,
     } | changes
     estimate = Estimate(0, soc, sigma, 3.6991, status=state["status"], faults=state["faults"])
+    estimate.soc_low, estimate.soc_high = soc - 1.96 * sigma, soc + 1.96 * sigma
     true = PlantState(step * 10**9, 3.7, 25.0, 0.5)
     return Progress(step, STEPS, 2.5, state["sample"], estimate, true, state["frames"], state["frames"])
 
@@ -51,14 +52,15 @@ def shown(view: LiveView, *states: Progress) -> str:
 
 def scored(error: float = 0.005, sigma: float = 0.01) -> dict:
     rows = 1200
-    score = metrics.score(range(rows), [0.5 + error] * rows, [sigma] * rows, [0.5] * rows)
+    interval = [0.5 + error - 1.96 * sigma] * rows, [0.5 + error + 1.96 * sigma] * rows
+    score = metrics.score(range(rows), [0.5 + error] * rows, interval, [0.5] * rows)
     return score | {"duration_s": 3600.0, "wall_s": 2.0, "realtime_factor": 1800.0}
 
 
 def test_the_panel_names_every_figure_with_its_unit() -> None:
     text = shown(LiveView("demo", terminal()), progress())
     for piece in (
-        "demo", "50%", "0:08:20", "200 × real time", "51.00 %", "±1.96 %", "50.00 %", "+1.00 %",
+        "demo", "50%", "0:08:20", "200 × real time", "51.00 %", "49.04–52.96 %", "50.00 %", "+1.00 %",
         "3.7004 V", "3.6991 V", "1.23 A", "25.3 °C", "1500 / 1500", "ok",
     ):  # fmt: skip
         assert piece in text, piece
@@ -120,7 +122,7 @@ def test_a_log_gets_ten_plain_lines_without_control_characters() -> None:
     lines = console.file.getvalue().strip("\n").split("\n")
     assert len(lines) == 10
     assert "\x1b" not in "".join(lines)
-    assert lines[4] == "demo:  50%  0:08:20  SoC 51.00 % ±1.96 %  true 50.00 %  error +1.00 %  ok"
+    assert lines[4] == "demo:  50%  0:08:20  SoC 51.00 % (49.04–52.96 %)  true 50.00 %  error +1.00 %  ok"
 
 
 def test_a_run_of_few_steps_still_gets_its_last_line() -> None:
@@ -158,11 +160,11 @@ def test_the_verdict_counts_rows_without_an_estimate() -> None:
 
 def test_a_run_without_a_reference_is_told_and_not_judged() -> None:
     console = log()
-    verdict(metrics.score([0.0], [0.5], [0.1], [math.nan]), None, console)
+    verdict(metrics.score([0.0], [0.5], ([0.4], [0.6]), [math.nan]), None, console)
     assert console.file.getvalue() == "No reference SoC: nothing is scored.\n"
 
 
 def test_a_run_without_an_estimate_is_not_taken_for_one_without_a_reference() -> None:
     console = log()
-    verdict(metrics.score([0.0], [math.nan], [math.nan], [0.5]), None, console)
+    verdict(metrics.score([0.0], [math.nan], ([math.nan], [math.nan]), [0.5]), None, console)
     assert "No estimate" in console.file.getvalue()

@@ -31,6 +31,8 @@ const char *model_outputs(Model *m)
     for (uint32_t cell = 0; cell < BMS_UKF_CELLS; ++cell) {
         m->value[SOC + cell] = bms_ukf_get(m->estimator, BMS_UKF_SOC, cell);
         m->value[SOC_SIGMA + cell] = bms_ukf_get(m->estimator, BMS_UKF_SOC_SIGMA, cell);
+        m->value[SOC_LOW + cell] = bms_ukf_get(m->estimator, BMS_UKF_SOC_LOW, cell);
+        m->value[SOC_HIGH + cell] = bms_ukf_get(m->estimator, BMS_UKF_SOC_HIGH, cell);
         m->value[INNOVATION_V + cell] = bms_ukf_get(m->estimator, BMS_UKF_INNOVATION, cell);
         m->value[VOLTAGE_PRED_V + cell] = bms_ukf_get(m->estimator, BMS_UKF_VOLTAGE_PRED, cell);
     }

@@ -24,9 +24,11 @@ INPUTS = [
 ]
 OUTPUTS = [
     ("soc", "1", "charge above empty over capacity, both at 25 degC; NaN while initialising or invalid"),
-    ("soc_sigma", "1", "one standard deviation of soc"),
+    ("soc_sigma", "1", "(soc_high - soc_low) / 3.92; NaN where soc is"),
     ("innovation_V", "V", "measured minus predicted voltage; NaN: no voltage was compared"),
     ("voltage_pred_V", "V", "predicted before the voltage was used"),
+    ("soc_low", "1", "2.5 % quantile of soc; NaN where soc is"),
+    ("soc_high", "1", "97.5 % quantile of soc"),
 ]
 
 
@@ -58,7 +60,7 @@ def write(
         "version": __version__,
         "inputs": INPUTS,
         "outputs": OUTPUTS,
-        "statuses": STATUSES,
+        "statuses": {status: text.format(tuning=tuning or Tuning()) for status, text in STATUSES.items()},
         "faults": {fault: text.format(tuning=tuning or Tuning()) for fault, text in FAULTS.items()},
     }
     environment = jinja2.Environment(

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import honesty
 from bms_ukf.faults.base import Injection
 from bms_ukf.plant import PlantState
 from bms_ukf.records import NAN, Estimate, Fault, PerCell, Sample, Status, Stored
@@ -103,7 +102,7 @@ class Record:
 
     def interval(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lower and the upper bound of SoC as a receiver has them, 0..1; NaN in rows without a SoC."""
-        return honesty.bounds(self.trace["soc"], self.trace["soc_sigma"])
+        return self.trace.interval
 
     def states(self) -> NDArray[np.int64]:
         """What the receiver takes the status to be, row by row: a `Status`, or SILENT."""
@@ -144,7 +143,10 @@ class Record:
         """SHA-256 of everything recorded: equal for runs that are equal, bit for bit."""
         whole = hashlib.sha256()
         trace = self.trace
-        columns = ("soc", "soc_sigma", "voltage_pred_V", "nis", "soc_ref", "current_A", "voltage_V", "temperature_degC")
+        columns = (
+            *("soc", "soc_sigma", "soc_low", "soc_high", "voltage_pred_V", "nis", "soc_ref"),
+            *("current_A", "voltage_V", "temperature_degC"),
+        )
         for column in (trace.t_ns, trace.status, trace.faults, self.answered, *(trace[name] for name in columns)):
             whole.update(np.ascontiguousarray(column).tobytes())
         if self._cells:

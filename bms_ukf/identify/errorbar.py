@@ -12,12 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bms_ukf import honesty
 from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
 from bms_ukf.identify.samples import LONGEST_STEP_S, Samples
 from bms_ukf.tuning import Tuning
 
-TRUE = 0.9  # share of the time that 1.96 sigma shall hold on average; a Gaussian error would be held 95 %
+TRUE = 0.9  # share of the time that the interval shall hold SoC on average; a Gaussian error would be held 95 %
 FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0)
 
 
@@ -31,15 +32,14 @@ def factor(cell: CellParams, tests: Sequence[Samples]) -> float:
 
 
 def held(cell: CellParams, tests: Sequence[Samples]) -> float:
-    """Share of its counted time at which 1.96 sigma hold the SoC of a test: the mean of all tests, 1 without any."""
+    """Share of its counted time at which the interval holds the SoC of a test: the mean of all tests, 1 without any."""
     shares = []
     tuning = Tuning(current_timeout_s=2 * LONGEST_STEP_S, voltage_timeout_s=2 * LONGEST_STEP_S)
     for test in tests:
         t_ns = np.round(test.time_s * 1e9).astype(np.int64)
         run = Estimator(cell, tuning=tuning).replay(t_ns, test.current_A, test.voltage_V, test.temperature_degC)
-        band = 1.96 * np.hypot(run["soc_sigma"], test.test.soc_ref_sigma)
         counted = test.counted & np.isfinite(run["soc"])
-        inside = counted & (np.abs(run["soc"] - test.soc) <= band)
+        inside = counted & honesty.inside(run["soc_low"], run["soc_high"], test.soc, test.test.soc_ref_sigma)
         shares.append(float(test.step_s[inside].sum() / max(test.step_s[counted].sum(), 1e-9)))
     return float(np.mean(shares)) if shares else 1.0
 

@@ -11,7 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from bms_ukf.metrics import SIGMAS_95
+from bms_ukf.honesty import SIGMAS_95
 from bms_ukf.monitor.watch import COLUMN_NS, COLUMNS, OPTIONAL, PUBLISHED, Protection, Track, Watch
 from bms_ukf.records import NAN, Fault, Source, Stored
 from bms_ukf.view import BARS, STATUS_STYLE
@@ -89,26 +89,29 @@ def line(watch: Watch, now_ns: int) -> str:
     if silent_s is None or silent_s > 5.0:
         return "no SoC frames" if silent_s is None else f"no SoC frames for {silent_s:.0f} s"
     faults = "; ".join(_fault_words(watch.faults))
-    band = _number(SIGMAS_95 * watch.values.get("SocSigma", NAN), "%")
-    told = f"SoC {_number(watch.values.get('Soc', NAN), '%')} ± {band}  {watch.status.word}"
+    told = f"SoC {_number(watch.values.get('Soc', NAN), '%')} (95 %: {_interval(watch)})  {watch.status.word}"
     return f"{told}  {faults}" if faults else told
 
 
+def _interval(watch: Watch) -> str:
+    low, high = (watch.values.get(name, NAN) for name in ("SocLow", "SocHigh"))
+    return "–" if math.isnan(low + high) else f"{low:.1f}–{high:.1f} %"
+
+
 def _soc(watch: Watch, fresh: bool) -> Text:
-    soc, sigma = (watch.values.get(name, NAN) if fresh else NAN for name in ("Soc", "SocSigma"))
-    band = _number(SIGMAS_95 * sigma, "%")
+    soc = watch.values.get("Soc", NAN) if fresh else NAN
     status = Text(watch.status.word, STATUS_STYLE[watch.status]) if fresh else Text("no frames", "bold red")
     known = Text("not available", "bold red") if math.isnan(soc) else Text(_number(soc, "%"), "bold")
     told = Text.assemble((f"{'SoC':{LABEL}}", "dim"), known)
     if not math.isnan(soc):
-        told += Text.assemble((" ± ", "dim"), band, (" (95 %)", "dim"))
+        told += Text.assemble((" 95 % ", "dim"), _interval(watch))
     told += Text.assemble(("   status ", "dim"), status, ("   by ", "dim"), SOURCES[watch.source])
     return told
 
 
 def _gauge(watch: Watch, fresh: bool) -> Text:
-    """SoC on a line from 0 to 100 %, the band around it."""
-    soc, sigma = (watch.values.get(name, NAN) if fresh else NAN for name in ("Soc", "SocSigma"))
+    """SoC on a line from 0 to 100 %, and its interval."""
+    soc, least, most = (watch.values.get(name, NAN) if fresh else NAN for name in ("Soc", "SocLow", "SocHigh"))
     marks = Text(f"{'':{LABEL}}0 ")
     for k in range(GAUGE):
         low, high = 100 * k / GAUGE, 100 * (k + 1) / GAUGE
@@ -116,7 +119,7 @@ def _gauge(watch: Watch, fresh: bool) -> Text:
             marks.append("·", "dim")
         elif low <= soc < high or (k == GAUGE - 1 and soc >= 100):
             marks.append("█", "bold")
-        elif not math.isnan(sigma) and soc - SIGMAS_95 * sigma < high and low < soc + SIGMAS_95 * sigma:
+        elif least < high and low < most:
             marks.append("▒", "cyan")
         else:
             marks.append("━" if low < soc else "·", "cyan" if low < soc else "dim")
@@ -207,7 +210,7 @@ def _cells(watch: Watch) -> list[Text]:
     """A mark for each cell, lowest and highest named; nothing for a single one."""
     if watch.cells == 1:
         return []
-    known = watch.cells_pct[: watch.cells]
+    known = watch.of_cells_pct["CellSoc"][: watch.cells]
     if np.isnan(known).all():
         return []
     low, high = float(np.nanmin(known)), float(np.nanmax(known))

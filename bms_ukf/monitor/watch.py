@@ -20,10 +20,20 @@ from bms_ukf.fault_bits import FaultBits
 from bms_ukf.frames import Inbox, Read
 from bms_ukf.records import NAN, Fault, Source, Status, Stored
 
-PUBLISHED = ("SocEstimate", "SocQuality", "BmsState", "SocDetail", "BusHealth")
+PUBLISHED = ("SocEstimate", "SocInterval", "SocQuality", "BmsState", "SocDetail", "BusHealth")
 # Sent of packs, or unless the configuration switches them off.
 OPTIONAL = (
-    *("PackState", "PackEnergy", "PackCurrents", "PackPowers", "PackTimes", "CellSoc", "CellSigma"),
+    *(
+        "PackState",
+        "PackEnergy",
+        "PackCurrents",
+        "PackPowers",
+        "PackTimes",
+        "CellSoc",
+        "CellSigma",
+        "CellLow",
+        "CellHigh",
+    ),
     *("CapacityHealth", "ResistanceHealth", "CellHealth", "StringBias"),
 )
 RATE_NS = 5_000_000_000  # rates are those of so long
@@ -103,7 +113,7 @@ class Watch:
         self.status, self.faults = Status.INITIALISING, Fault.NONE
         self.source, self.stored = Source.NONE, Stored.NONE
         self.values: dict[str, float] = {}  # by signal, as the DBC names them and in its units
-        self.cells_pct, self.sigmas_pct = np.full(CELLS, NAN), np.full(CELLS, NAN)
+        self.of_cells_pct = {name: np.full(CELLS, NAN) for name in ("CellSoc", "CellSigma", "CellLow", "CellHigh")}
         self.cells = 1  # as many as were heard of
         self.biases_A = np.full(STRINGS, NAN)  # of the strings' current sensors
         self.history_pct: deque[float] = deque([NAN] * COLUMNS, maxlen=COLUMNS)
@@ -138,7 +148,7 @@ class Watch:
         self.tracks[message.frame_id, message.is_extended_frame] = track
 
     def _reader(self, message: Message) -> Read[bool]:
-        if message.name in {"CellSoc", "CellSigma"}:
+        if message.name in self.of_cells_pct:
             return _cell_reader(self, message)
         if message.name == "StringBias":
             return _page_reader(message, [f"String{k + 1}" for k in range(STRINGS)], self.biases_A)
@@ -183,7 +193,7 @@ class Watch:
 
 
 def _cell_reader(watch: Watch, message: Message) -> Read[bool]:
-    kept = watch.cells_pct if message.name == "CellSoc" else watch.sigmas_pct
+    kept = watch.of_cells_pct[message.name]
     read_page = _page_reader(message, [f"Cell{k + 1}" for k in range(CELLS)], kept)
 
     def read(data: bytes, t_ns: int) -> bool:

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from bms_ukf import honesty
 from bms_ukf.cell import CellParams
 from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.records import Status
@@ -104,9 +105,12 @@ def run(model: Model, signals: Signals, told: Told) -> dict[str, NDArray[Any]]:
     soc, sigma, predicted, innovation, nis = (np.full(rows, np.nan) for _ in range(5))
     inputs = (signals.step_s, signals.current_A, signals.voltage_V, signals.temperature_degC)
     _run(model, *inputs, told.soc, told.sigma, soc, sigma, predicted, innovation, nis)
+    low, high = honesty.bounds(np.clip(soc, 0, 1), sigma)
     return {
         "soc": np.clip(soc, 0, 1),
         "soc_sigma": sigma,
+        "soc_low": low,
+        "soc_high": high,
         "voltage_pred_V": predicted,
         "innovation_V": innovation,
         "nis": nis,

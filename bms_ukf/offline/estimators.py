@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bms_ukf import honesty
 from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
 from bms_ukf.offline import ekf
@@ -75,9 +76,13 @@ def coulomb(cell: CellParams, tuning: Tuning) -> Runner:
         elapsed_s = signals.time_s - signals.time_s[:1]
         drift = np.hypot(offset_A * elapsed_s, spec.current_gain_sigma * moved_As) / charge_As
         nothing = np.full(moved_As.size, np.nan)
+        soc, sigma = np.clip(start.soc - moved_As / charge_As, 0, 1), np.hypot(start.sigma, drift)
+        low, high = honesty.bounds(soc, sigma)
         return {
-            "soc": np.clip(start.soc - moved_As / charge_As, 0, 1),
-            "soc_sigma": np.hypot(start.sigma, drift),
+            "soc": soc,
+            "soc_sigma": sigma,
+            "soc_low": low,
+            "soc_high": high,
             "voltage_pred_V": nothing,
             "innovation_V": nothing,
             "nis": nothing,

@@ -28,6 +28,7 @@ from bms_ukf.records import NAN, Detail, Estimate, Sample, largest_known
 from bms_ukf.replay.ageing import ageing
 from bms_ukf.replay.logs import LogClock, frames
 from bms_ukf.replay.rows import Rows
+from bms_ukf.shown import SOC_FIELDS
 from bms_ukf.trace import Trace
 
 LEAST_NS = 1_000_000  # a wait of no time would never end
@@ -57,7 +58,8 @@ def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Tra
         )
         raise ConfigError(path, expected=expected)
     trace = told.rows.trace()
-    final = {name: float(trace[name][-1]) if len(trace) else NAN for name in ("soc", "soc_sigma")}
+    final = {name: float(trace[name][-1]) if len(trace) else NAN for name in SOC_FIELDS}
+    final_known = {name: value if np.isfinite(value) else None for name, value in final.items()}
     duration_s = clock.now() * 1e-9
     summary = {
         "recording": path.name,
@@ -66,8 +68,10 @@ def rerun(path: Path, config: Path, cell: CellParams | None = None) -> tuple[Tra
         "n": len(trace),
         "duration_s": duration_s,
         "steps_per_s": told.samples / took_s,
-        "final_soc": final["soc"] if np.isfinite(final["soc"]) else None,
-        "soc_sigma_final": final["soc_sigma"] if np.isfinite(final["soc_sigma"]) else None,
+        "final_soc": final_known["soc"],
+        "soc_sigma_final": final_known["soc_sigma"],
+        "soc_low_final": final_known["soc_low"],
+        "soc_high_final": final_known["soc_high"],
         "warnings": [*setup.warnings, *_warnings(setup, clock)],
         "samples": told.samples,
         "frames": asdict(setup.decoder.counters),

@@ -46,7 +46,7 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
     line, _, body = path.read_bytes().partition(b"\n")
     head = json.loads(line)
     missing = [key for key in HEADER if key not in head]
-    if missing or head["format"] not in range(1, FORMAT + 1):
+    if missing or head["format"] != FORMAT:
         raise ValueError(f"no {', '.join(missing)} in its first line" if missing else "of another format")
     cells = int(head["cells"])
     used = cell or CellParams.model_validate_json(head["cell"])
@@ -84,6 +84,8 @@ def _rerun(path: Path, cell: CellParams | None) -> tuple[Trace, dict[str, Any]]:
         "steps_per_s": len(trace) / took_s,
         "final_soc": float(final.soc) if known else None,
         "soc_sigma_final": float(final.soc_sigma) if known else None,
+        "soc_low_final": float(final.soc_low) if known else None,
+        "soc_high_final": float(final.soc_high) if known else None,
         "warnings": [f"{path.name}: not what was said then, from row {apart[0]} on"] if apart and cell is None else [],
         "reason": head["reason"],
         "written": head["written"],
@@ -147,7 +149,12 @@ def _array(data: bytes, at: int, size: int) -> tuple[NDArray[np.float64], int]:
 
 
 def _mean(estimate: Estimate) -> Estimate:
-    return Estimate(soc=float(np.mean(estimate.soc)), soc_sigma=float(np.max(estimate.soc_sigma)))
+    return Estimate(
+        soc=float(np.mean(estimate.soc)),
+        soc_sigma=float(np.max(estimate.soc_sigma)),
+        soc_low=float(np.min(estimate.soc_low)),
+        soc_high=float(np.max(estimate.soc_high)),
+    )
 
 
 def _same(then: tuple[float, ...], now: tuple[float, ...]) -> bool:

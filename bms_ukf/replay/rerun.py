@@ -4,7 +4,7 @@
 |---|---|
 | `recording`, `cell`, `estimator` | what was run |
 | `n`, `duration_s`, `steps_per_s` | samples, their time, and how many a second the estimator took |
-| `final_soc`, `soc_sigma_final` | at the last sample; null: none could be defended |
+| `final_soc`, `soc_sigma_final`, `soc_low_final`, `soc_high_final` | at the last sample; null: none could be defended |
 | `warnings` | what was doubtful in the recording |
 
 To them come those of `replay.ageing`. With a reference SoC, also what `metrics.score` documents: errors in % SoC over
@@ -109,11 +109,13 @@ def rerun(
         "steps_per_s": len(trace) / took_s,
         "final_soc": _known(trace["soc"][-1]),
         "soc_sigma_final": _known(trace["soc_sigma"][-1]),
+        "soc_low_final": _known(trace["soc_low"][-1]),
+        "soc_high_final": _known(trace["soc_high"][-1]),
         "warnings": warnings,
     }
     summary |= ageing(health)
     if np.isfinite(soc_ref).any():
-        summary |= metrics.score(trace.t_s, trace["soc"], trace["soc_sigma"], soc_ref, options.soc_ref_sigma)
+        summary |= metrics.score(trace.t_s, trace["soc"], trace.interval, soc_ref, options.soc_ref_sigma)
     return trace, summary
 
 

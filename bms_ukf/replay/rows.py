@@ -8,7 +8,7 @@ from array import array
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf.records import NAN, Estimate, PerCell, Sample, largest_known, mean_known
+from bms_ukf.records import NAN, Estimate, PerCell, Sample, largest_known, mean_known, smallest_known
 from bms_ukf.trace import Trace
 
 COLUMNS = (
@@ -25,11 +25,13 @@ COLUMNS = (
     "nis",
     "r0_ohm",
     "soh",
+    "soc_low",
+    "soc_high",
 )
 
 
 class Rows:
-    """What was measured last, and what was estimated. Of a pack mean SoC, largest sigma and NIS, strings together."""
+    """What was measured last, and what was estimated. Of a pack mean SoC, largest sigma and NIS, outermost bounds."""
 
     def __init__(self) -> None:
         self._values, self._t_ns = array("d"), array("q")
@@ -72,6 +74,8 @@ class Rows:
                 _of_cell(worst, nis),
                 _of_cell(worst, estimate.r0_ohm),
                 soh,
+                smallest_known(estimate.soc_low),
+                largest_known(estimate.soc_high),
             )
         )
 

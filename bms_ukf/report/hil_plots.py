@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
 from bms_ukf.expectations.record import WORDS, FaultFigures, Record
-from bms_ukf.metrics import SIGMAS_95
 from bms_ukf.report.plots import ESTIMATE, LIMIT, STYLE, TRUTH
 
 # Of the words of `record.WORDS`, in their order; blue is what is to be relied upon.
@@ -35,8 +34,8 @@ def render(record: Record) -> bytes:
 
 def _soc(axes: Axes, record: Record) -> None:
     t_s, trace = record.t_s, record.trace
-    soc, band = 100 * trace["soc"], 100 * SIGMAS_95 * trace["soc_sigma"]
-    axes.fill_between(t_s, soc - band, soc + band, color=ESTIMATE, alpha=0.2, linewidth=0, label="95 % band")
+    soc, low, high = (100 * trace[name] for name in ("soc", "soc_low", "soc_high"))
+    axes.fill_between(t_s, low, high, color=ESTIMATE, alpha=0.2, linewidth=0, label="95 % interval")
     axes.plot(t_s, soc, color=ESTIMATE, linewidth=1.3, label="on the bus")
     axes.plot(t_s, 100 * trace["soc_ref"], color="black", linewidth=0.9, linestyle=(0, (4, 3)), label="true")
     axes.set_ylabel("SoC [%]")
@@ -45,8 +44,8 @@ def _soc(axes: Axes, record: Record) -> None:
 
 def _error(axes: Axes, record: Record) -> None:
     t_s = record.t_s
-    error, band = 100 * record.error(), 100 * SIGMAS_95 * record.trace["soc_sigma"]
-    axes.fill_between(t_s, -band, band, color=ESTIMATE, alpha=0.2, linewidth=0)
+    error, soc, (low, high) = 100 * record.error(), record.trace["soc"], record.interval()
+    axes.fill_between(t_s, 100 * (low - soc), 100 * (high - soc), color=ESTIMATE, alpha=0.2, linewidth=0)
     axes.plot(t_s, error, color=ESTIMATE, linewidth=1.2)
     axes.axhline(0, color=TRUTH, linewidth=0.8)
     largest = float(np.nanmax(np.abs(error))) if np.isfinite(error).any() else 1.0

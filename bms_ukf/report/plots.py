@@ -17,7 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bms_ukf.metrics import PAD_S, SIGMAS_95
+from bms_ukf.honesty import SIGMAS_95
+from bms_ukf.metrics import PAD_S
 from bms_ukf.trace import Trace
 
 Array = NDArray[np.float64]
@@ -147,8 +148,8 @@ def _legend(axes: Axes) -> None:
 def _soc(trace: Trace, figure: Figure) -> None:
     axes = figure.subplots()
     t, label = _time(trace)
-    soc, band = 100 * trace["soc"], 100 * SIGMAS_95 * trace["soc_sigma"]
-    _band(axes, t, np.clip(soc - band, 0, 100), np.clip(soc + band, 0, 100), "95 % band")
+    soc, low, high = (100 * trace[name] for name in ("soc", "soc_low", "soc_high"))
+    _band(axes, t, low, high, "95 % interval")
     _line(axes, t, soc, color=ESTIMATE, linewidth=1.4, label="estimated")
     if np.isfinite(trace["soc_ref"]).any():
         _line(axes, t, 100 * trace["soc_ref"], color="black", linewidth=0.9, linestyle=(0, (4, 3)), label="true")
@@ -159,12 +160,13 @@ def _soc(trace: Trace, figure: Figure) -> None:
 def _soc_error(trace: Trace, figure: Figure) -> None:
     axes = figure.subplots()
     t, label = _time(trace)
-    error, band = 100 * (trace["soc"] - trace["soc_ref"]), 100 * SIGMAS_95 * trace["soc_sigma"]
-    _band(axes, t, -band, band, "95 % band")
+    soc = trace["soc"]
+    error, low, high = 100 * (soc - trace["soc_ref"]), 100 * (trace["soc_low"] - soc), 100 * (trace["soc_high"] - soc)
+    _band(axes, t, low, high, "95 % interval")
     _line(axes, t, error, color=ESTIMATE, linewidth=1.2, label="estimated minus true")
     late = _late(trace)
     axes.set(title="SoC error", xlabel=label, ylabel="SoC error [%]")
-    _symmetric(axes, np.concatenate([error[late], band[late], [0.5]]), error, "%")
+    _symmetric(axes, np.concatenate([error[late], low[late], high[late], [0.5]]), error, "%")
     _legend(axes)
 
 

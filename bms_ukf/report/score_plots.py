@@ -10,7 +10,6 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from bms_ukf.metrics import SIGMAS_95
 from bms_ukf.report.plots import ESTIMATE, STYLE, TRUTH, envelope
 from bms_ukf.score import Score
 from bms_ukf.score.recorded import Recorded
@@ -90,20 +89,20 @@ def _soc(found: Score, recorded: Recorded, figure: Figure) -> None:
     time_h = (recorded.signals.time_s - recorded.signals.time_s[0]) / 3600
     names = [name for recording, name in found.nominal if recording == recorded.name]
     ours = found.nominal[recorded.name, names[0]]
-    band = 100 * SIGMAS_95 * ours["soc_sigma"]
-    soc.fill_between(time_h, 100 * ours["soc"] - band, 100 * ours["soc"] + band, color=ESTIMATE, alpha=0.2, linewidth=0)
+    low, high = 100 * ours["soc_low"], 100 * ours["soc_high"]
+    soc.fill_between(time_h, low, high, color=ESTIMATE, alpha=0.2, linewidth=0)
     soc.plot(*envelope(time_h, 100 * recorded.soc_ref), color=TRUTH, linewidth=1.8, alpha=0.6)
     soc.plot(*envelope(time_h, 100 * ours["soc"]), color=ESTIMATE, linewidth=1.0)
     soc.set(title=recorded.name, ylabel="SoC [%]", ylim=(-5, 105))
     rows = recorded.counted & np.isfinite(recorded.soc_ref)
-    band = band[rows]
-    error.fill_between(time_h[rows], -band, band, color=ESTIMATE, alpha=0.2, linewidth=0)
+    low, high = (bound[rows] - 100 * ours["soc"][rows] for bound in (low, high))
+    error.fill_between(time_h[rows], low, high, color=ESTIMATE, alpha=0.2, linewidth=0)
     shown = []
     for name in reversed(names):
         off = 100 * (found.nominal[recorded.name, name]["soc"] - recorded.soc_ref)[rows]
         shown.append(np.nanpercentile(np.abs(off), 99) if np.isfinite(off).any() else 1.0)
         error.plot(*envelope(time_h[rows], off), color=COLOURS[name], linewidth=1.0, label=SHOWN[name])
-    limit = max(2.0, 1.1 * max(shown[-1], np.percentile(band, 90) if band.size else 0.0))
+    limit = max(2.0, 1.1 * max(shown[-1], np.percentile(high - low, 90) / 2 if low.size else 0.0))
     error.axhline(0, color=TRUTH, linewidth=0.8)
     error.set(xlabel="Time [h]", ylabel="Error [% SoC]", ylim=(-limit, limit))
     error.legend(ncols=len(names), loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)

@@ -80,8 +80,8 @@ def score(
 
 def _outcome(estimator: str, loaded: Recorded, case: Case, columns: Columns) -> Outcome:
     test = loaded.test
-    soc, sigma = columns["soc"], columns["soc_sigma"]
-    figures = metrics.score(case.signals.time_s, soc, sigma, case.soc_ref, test.soc_ref_sigma)
+    interval = columns["soc_low"], columns["soc_high"]
+    figures = metrics.score(case.signals.time_s, columns["soc"], interval, case.soc_ref, test.soc_ref_sigma)
     return Outcome(
         estimator,
         loaded.name,

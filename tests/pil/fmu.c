@@ -1,12 +1,13 @@
 /* Runs the library of an FMI 2.0 FMU of the estimator: `fmu LIBRARY GUID STEP_S < inputs > outputs`, doubles of this
-   machine's kind: current, voltage and temperature a step, and soc, soc_sigma, innovation, voltage_pred, status, faults. */
+   machine's kind: current, voltage and temperature a step, and soc, soc_sigma, innovation,
+   voltage_pred, soc_low, soc_high, status, faults. */
 #include "fmi2FunctionTypes.h"
 
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-enum { INPUTS = 3, REALS = 4, INTEGERS = 2 };
+enum { INPUTS = 3, REALS = 6, INTEGERS = 2 };
 
 static void tell(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
                  fmi2String text, ...)
@@ -27,7 +28,7 @@ static void *library;
 int main(int argc, char **argv)
 {
     const fmi2CallbackFunctions callbacks = {tell, calloc, free, NULL, NULL};
-    const fmi2ValueReference in[INPUTS] = {0, 1, 2}, real[REALS] = {3, 4, 5, 6}, integer[INTEGERS] = {7, 8};
+    const fmi2ValueReference in[INPUTS] = {0, 1, 2}, real[REALS] = {3, 4, 5, 6, 7, 8}, integer[INTEGERS] = {9, 10};
     double inputs[INPUTS], outputs[REALS + INTEGERS];
     fmi2Integer integers[INTEGERS];
 

@@ -17,7 +17,7 @@ struct sample {
 
 struct answer {
     uint32_t code;
-    bms_ukf_real soc, soc_sigma, innovation_V;
+    bms_ukf_real soc, soc_sigma, innovation_V, soc_low, soc_high;
     uint32_t instructions, stack;
 };
 
@@ -90,6 +90,8 @@ int main(void)
         step_on_fresh_paint(&in, &out);
         out.soc = bms_ukf_get(state, BMS_UKF_SOC, 0);
         out.soc_sigma = bms_ukf_get(state, BMS_UKF_SOC_SIGMA, 0);
+        out.soc_low = bms_ukf_get(state, BMS_UKF_SOC_LOW, 0);
+        out.soc_high = bms_ukf_get(state, BMS_UKF_SOC_HIGH, 0);
         out.innovation_V = bms_ukf_get(state, BMS_UKF_INNOVATION, 0);
         if (write(to, &out, sizeof out) != sizeof out)
             return 1;

@@ -27,7 +27,7 @@ COUNTERS = 15  # an alive counter is 0..14
 SOC_BIT, SIGMA_BIT = 0.0025e-2, 0.0025e-2  # what a bit of the DBC is worth
 VOLTAGE_BIT, INNOVATION_BIT, NIS_BIT, AGE_BIT = 0.0002, 0.0001, 0.01, 0.01
 PACK, CELLS, TEMPERATURES, SOC, QUALITY, STATE = 0x120, 0x121, 0x122, 0x220, 0x221, 0x222
-DETAIL, HEALTH = 0x224, 0x225
+DETAIL, HEALTH, INTERVAL = 0x224, 0x225, 0x230
 CELL_SOC, PACK_STATE, CELL_SIGMA = 0x223, 0x226, 0x22B
 
 _channels = (f"test-daemon-{k}" for k in itertools.count())
@@ -95,7 +95,7 @@ class Rig:
 
     def frames(self) -> list[can.Message]:
         """What was published since the last call, without what only displays and logs want."""
-        return [message for message in self.all_frames() if message.arbitration_id not in {DETAIL, HEALTH}]
+        return [message for message in self.all_frames() if message.arbitration_id not in {DETAIL, HEALTH, INTERVAL}]
 
     def all_frames(self) -> list[can.Message]:
         return list(iter(lambda: self.vehicle.recv(0.0), None))
@@ -107,7 +107,7 @@ class Rig:
     def estimates(self) -> list[Estimate]:
         """The same, read as a monitor would."""
         monitor = EstimateDecoder()
-        read = [monitor.decode(m.arbitration_id, False, bytes(m.data), 0) for m in self.frames()]
+        read = [monitor.decode(m.arbitration_id, False, bytes(m.data), 0) for m in self.all_frames()]
         return [estimate for estimate in read if estimate is not None]
 
 
