@@ -15,8 +15,8 @@ def record_of(errors, sigma=0.01, status=Status.OK):
     """A run of a row a second with these errors of SoC; NaN: no SoC is published."""
     record = Record([])
     for k, error in enumerate(errors, start=1):
-        known = not np.isnan(error)
-        answer = Estimate(k * SECOND_NS, 0.5 + error, sigma if known else np.nan, status=status)
+        low, high = (0.5 + error + side * 1.96 * sigma for side in (-1, 1))
+        answer = Estimate(k * SECOND_NS, 0.5 + error, sigma, status=status, soc_low=low, soc_high=high)
         true = PlantState(k * SECOND_NS, 3.7, 25.0, 0.5)
         record.append(Sample(k * SECOND_NS, 0.0, 3.7, 25.0), answer, true)
     return record
