@@ -152,6 +152,17 @@ def test_a_summary_without_an_estimate_at_the_end_is_json_too():
     assert (summary["n_scored"], summary["n_unavailable"]) == (0, 30)
 
 
+def test_the_interval_crosses_the_bus_with_every_soc(virtual):
+    trace, summary = virtual
+    low, high = trace.interval
+    known = np.isfinite(trace["soc"])
+    assert (np.isfinite(low) & np.isfinite(high) == known).all()
+    assert ((low <= trace["soc"]) & (trace["soc"] <= high))[known].all()
+    bit = 0.0025e-2
+    assert np.abs((high - low) / 3.92 - trace["soc_sigma"])[known].max() < bit
+    assert (summary["soc_low_final"], summary["soc_high_final"]) == (low[-1], high[-1])
+
+
 def test_every_step_is_shown_to_the_one_who_watches():
     seen = []
     trace, _ = cosim.run(

@@ -332,6 +332,8 @@ def test_metrics_say_what_is_published_and_only_to_this_machine(started, vehicle
     vehicle.drive(running, 20)
     told = scraped(port)
     assert told["bms_ukf_soc_ratio"] == running.daemon.estimate.soc
+    assert told["bms_ukf_soc_low_ratio"] == running.daemon.estimate.soc_low
+    assert told["bms_ukf_soc_high_ratio"] == running.daemon.estimate.soc_high
     assert told['bms_ukf_status{status="ok"}'] == 1.0
     assert told['bms_ukf_fault{fault="e2e"}'] == 0.0
     assert told['bms_ukf_received_frames_total{outcome="accepted"}'] == 60.0

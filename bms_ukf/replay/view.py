@@ -50,8 +50,8 @@ def show(done: Sequence[Done], console: Console) -> None:
 
 
 def _row(summary: dict[str, Any]) -> list[str]:
-    soc, sigma = summary["final_soc"], summary["soc_sigma_final"]
-    end = "not available" if soc is None else f"{100 * soc:.1f} ± {100 * sigma:.1f} %"
+    soc, low, high = (summary[key] for key in ("final_soc", "soc_low_final", "soc_high_final"))
+    end = "not available" if soc is None else f"{100 * soc:.1f} ({100 * low:.1f}–{100 * high:.1f}) %"
     figures = ["–"] * 4
     if summary.get("rmse_pct") is not None:
         settled = summary["settled_s"]
