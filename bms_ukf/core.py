@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from bms_ukf.commissioning import Commissioning
 from bms_ukf.estimator import Estimator
+from bms_ukf.failed import Watch
 from bms_ukf.intake import Intake
 from bms_ukf.pace import Pace
 from bms_ukf.pack import Health
 from bms_ukf.publication import Publication
-from bms_ukf.records import Detail, Estimate, Fault, PerCell, Sample, Source, Stored, mean_known
+from bms_ukf.records import NAN, Detail, Estimate, Fault, PerCell, Sample, Source, Stored, mean_known
 from bms_ukf.scan import TOGETHER_NS, Scan
 from bms_ukf.strings import CommissioningStrings, StuckStrings
 from bms_ukf.stuck import Stuck
@@ -54,6 +55,7 @@ class Core:
         self.published = 0  # sets of frames
         self.witness: Witness | None = None
         self.stuck = StuckStrings(cell, wiring) if several else Stuck(cell, estimator.cells)
+        self.watch = Watch(estimator)
         self._scan = Scan(estimator.cells, self._step, self._end_scan)
         self._published_ns = 0
         self._stepped = False  # since the last set
@@ -119,6 +121,8 @@ class Core:
     def _step(self, sample: Sample) -> None:
         estimate, witness, health = self.estimate, self.witness, self.health
         self.stuck.take(sample)
+        shown = sample.current_A, sample.string_current_A
+        self._watch(sample)
         voltage = sample.voltage_V
         heard = None if isinstance(voltage, float) else (voltage == voltage).nonzero()[0]  # noqa: PLR0124 - not NaN
         if _is_empty(sample, heard):  # its sender lives, and knows nothing: no reason to look alive
@@ -126,15 +130,29 @@ class Core:
             self.publication.follow(sample, estimate, heard)
             return
         self.estimator.step(sample, out=estimate)
-        if health is not None and self.commissioning.fault is _NONE:
+        if health is not None and self.commissioning.fault is _NONE and self.watch.fault is _NONE:
             health.follow(sample, estimate)
         if witness is not None:
             witness.stepped(sample, estimate)
         self.publication.follow(sample, estimate, heard)
         faults, stands = estimate.faults, self.stuck.fault
         if (faults is _NONE and stands is _NONE) or not (int(faults) | int(stands)) & _IMPLAUSIBLE:
-            self.commissioning.see(sample)
+            self._commission(sample, shown)
         self._stepped = True
+
+    def _watch(self, sample: Sample) -> None:
+        """Take the current for missing where its sensor has failed, or was never right."""
+        self.watch.take(sample, self.estimate)
+        if self.commissioning.fault is not _NONE:
+            sample.current_A, sample.string_current_A = NAN, None
+
+    def _commission(self, sample: Sample, shown: tuple[float, NDArray[np.float64] | None]) -> None:
+        """Let the sensors be judged by what they have shown, used or not."""
+        before = self.commissioning.fault
+        sample.current_A, sample.string_current_A = shown
+        self.commissioning.see(sample)
+        if before is _NONE and self.commissioning.fault is not _NONE and self.watch.fault is _NONE:
+            self.watch.distrust(sample.t_ns)
 
     def _end_scan(self, t_ns: int) -> None:
         if not self._periodic:
@@ -149,7 +167,7 @@ class Core:
         received = self.intake.counters
         shown = self._refused.at(t_ns, received.refused) | self._failed.at(t_ns, self._failures() + received.lost)
         detail = self.publication.complete(
-            self.estimate, t_ns, shown | int(self.commissioning.fault | self.stuck.fault)
+            self.estimate, t_ns, shown | int(self.commissioning.fault | self.stuck.fault | self.watch.shown)
         )
         detail.current_bias_A = self.current_bias_A()
         self._send(t_ns, detail)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -28,11 +26,6 @@ class ConfigError(BmsError):
         place = f"{source}: {key}" if key else f"{source}"
         found = ":" if value is None else f" is {_short(value)};"
         super().__init__(" ".join(f"{place}{found} expected {expected}".split()))
-
-    def __reduce__(self) -> tuple[Callable[[], ConfigError], tuple[()]]:
-        """Return how to make it again: without this it cannot leave a process of a pool, and breaks the pool."""
-        make = partial(ConfigError, self.source, expected=self.expected, key=self.key, value=self.value)
-        return make, ()
 
 
 class PlantError(BmsError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,16 @@ from bms_ukf.wiring import Wiring
 Array = NDArray[np.float64]
 
 SHARE_NS = 60_000_000_000  # how often cells put together what they know of their sensor's offset, which is slow
+
+
+class Kept(NamedTuple):
+    """What an estimator knew; made by `PerCell.keep`."""
+
+    state: NDArray[Any]
+    io: NDArray[Any]
+    t_ns: int | None
+    code: int
+    heard_ns: int | None
 
 
 class PerCell:
@@ -46,6 +56,7 @@ class PerCell:
     precision: Precision
     tuning: Tuning
     wiring: Wiring
+    _code: int  # what the kernel said last
     _form: Form
     _io: NDArray[Any]
     _state: NDArray[Any]
@@ -54,6 +65,15 @@ class PerCell:
     _heard_ns: int | None  # when the first cell was, while others are waited for
     _share_ns: int  # how often, in the time of the samples, cells agree on the offset of their sensor
     _exchange: Any  # what they do it by
+
+    def keep(self) -> Kept:
+        """What is known, as a copy for `go_back`: sooner made than a `snapshot`, and good for this estimator only."""
+        return Kept(self._state.copy(), self._io.copy(), self.t_ns, self._code, self._heard_ns)
+
+    def go_back(self, kept: Kept) -> None:
+        """Know what was known then; `accepted` goes on, as receivers take it for a sign of life."""
+        self._state[:], self._io[:] = kept.state, kept.io
+        self.t_ns, self._code, self._heard_ns = kept.t_ns, kept.code, kept.heard_ns  # type: ignore[misc]
 
     @property
     def capacity_scale(self) -> Array:

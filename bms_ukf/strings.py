@@ -24,18 +24,16 @@ class StuckStrings:
         self._strings = [(k, cells, Stuck(cell, len(cells))) for k, cells in wiring.members().items()]
 
     def take(self, sample: Sample) -> None:
-        """Turn into NaN what of the sample stands still: voltages, and the current of a string."""
+        """Turn into NaN the voltages of the sample that stand still."""
         fault = Fault.NONE
         for string, members, stuck in self._strings:
-            own = _seen_by(string, members, sample)
+            own = seen_by(string, members, sample)
             stuck.take(own)
             if stuck.fault is Fault.NONE:
                 continue
             fault |= stuck.fault
             if not isinstance(sample.voltage_V, float):
-                sample.voltage_V = _with(sample.voltage_V, members, own.voltage_V)
-            if sample.string_current_A is not None:
-                sample.string_current_A = _with(sample.string_current_A, string, own.current_A)
+                sample.voltage_V = with_values(sample.voltage_V, members, own.voltage_V)
         self.fault = fault
 
 
@@ -54,10 +52,10 @@ class CommissioningStrings:
 
     def see(self, sample: Sample) -> None:
         for string, members, commissioning in self._strings:
-            commissioning.see(_seen_by(string, members, sample))
+            commissioning.see(seen_by(string, members, sample))
 
 
-def _seen_by(string: int, members: Cells, sample: Sample) -> Sample:
+def seen_by(string: int, members: Cells, sample: Sample) -> Sample:
     """The current and the cells of one string, as a sample of it alone; temperatures are as they are."""
     strings_A, voltage_V = sample.string_current_A, sample.voltage_V
     if not isinstance(voltage_V, float):
@@ -66,7 +64,7 @@ def _seen_by(string: int, members: Cells, sample: Sample) -> Sample:
     return Sample(sample.t_ns, current_A, voltage_V, sample.temperature_degC, sample.open_circuit)
 
 
-def _with(values: NDArray[np.float64], where: Cells | int, new: PerCell) -> NDArray[np.float64]:
+def with_values(values: NDArray[np.float64], where: Cells | list[int] | int, new: PerCell) -> NDArray[np.float64]:
     """A copy, as the array is the decoder's."""
     values = values.copy()
     values[where] = new

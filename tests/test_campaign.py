@@ -1,7 +1,6 @@
 """The honesty campaign: situations that repeat, figures by definition, goals with an allowance, and its command."""
 
 import json
-import pickle
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from bms_ukf import Status
 from bms_ukf.campaign import classes, course, figures, goals, library, run, sensing, traces, view
 from bms_ukf.campaign.run import Published
 from bms_ukf.campaign.situation import Failure, Situation
-from bms_ukf.errors import ConfigError
 from bms_ukf.manifest import DATA_FOLDER
 from bms_ukf.records import Fault
 
@@ -265,10 +263,3 @@ def test_without_recordings_the_plants_are_those_with_committed_traces(monkeypat
 
 def test_every_goal_has_words():
     assert {goal.figure for name in classes.CLASSES for goal in goals.of(name)} <= set(view.WORDS)
-
-
-def test_a_configuration_error_survives_a_process_boundary():
-    error = ConfigError("--plant", key="a.b", value=3, expected="another")
-    again = pickle.loads(pickle.dumps(error))
-    assert str(again) == str(error)
-    assert (again.source, again.key, again.value, again.expected) == ("--plant", "a.b", 3, "another")

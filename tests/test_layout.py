@@ -78,6 +78,7 @@ MAY_IMPORT = {
     "scaling": {"cell"},
     "open_circuit": {"records"},
     "stuck": {"cell", "records"},
+    "failed": {"cell", "estimator", "failed", "percell", "records", "strings"},
     "strings": {"cell", "commissioning", "records", "stuck", "wiring"},
     "alignment": {"records"},
     "intake": {"alignment", "decoder", "frames", "open_circuit", "records"},
@@ -101,6 +102,7 @@ MAY_IMPORT = {
     "core": {
         "commissioning",
         "estimator",
+        "failed",
         "intake",
         "pace",
         "pack",

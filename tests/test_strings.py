@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from model_cell import ModelCell
 
-from bms_ukf import CellParams, ConfigError, Estimator, Fault, Sample, Status, service
+from bms_ukf import CellParams, ConfigError, Estimator, Fault, Sample, Status, failed, service
 from bms_ukf.alignment import Alignment
 from bms_ukf.config import Setup
 from bms_ukf.core import Core
@@ -399,17 +399,21 @@ def test_the_sensor_with_the_wrong_sign_is_named_and_the_other_is_not_accused(ce
     assert "its sign is wrong" in told
 
 
-def test_a_current_that_stands_still_is_missing_for_its_own_string(cell):
-    stuck, missing = StuckStrings(cell, WIRING), np.zeros(2)
-    for sample in driven(cell, 200):
-        sample.string_current_A[1] = 1.5
+def test_a_current_that_stands_still_is_missing_for_its_own_string(cell, caplog):
+    estimator, missing = Estimator(cell, 4, wiring=WIRING), np.zeros(2)
+    watch, estimate = failed.Watch(estimator), Estimate(soc=np.full(4, 0.6))
+    for sample in driven(cell, 400):
+        if sample.t_ns > 200 * SECOND_NS:
+            sample.string_current_A[1] = 1.5
         given = sample.string_current_A.copy(), sample.string_current_A
-        stuck.take(sample)
+        watch.take(sample, estimate)
         missing += np.isnan(sample.string_current_A)
         np.testing.assert_array_equal(*given, err_msg="the array is the decoder's")
     assert missing[0] == 0
     assert missing[1] > 100
-    assert stuck.fault is Fault.CURRENT_IMPLAUSIBLE
+    assert watch.fault is Fault.CURRENT_FAILED
+    (told,) = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    assert told.startswith("current of string 2: ")
 
 
 def test_a_voltage_that_stands_still_is_judged_by_the_current_of_its_own_string(cell):

@@ -82,7 +82,7 @@ def situation(name: str, seed: int, given: Sequence[str] = ()) -> Situation:
         found = kind.draw(Lot(rng, plant, variant))
         if found is not None:
             return found
-    raise ConfigError("--plant", value=", ".join(among), expected=f"one with a trace to cut {name} from")
+    raise ConfigError(name, value=seed, expected="a trace to cut it from")
 
 
 def in_turn(name: str, what: str, seed: int, values: Sequence[str]) -> str:

@@ -81,12 +81,8 @@ def _serial(tasks: Sequence[Task]) -> Iterator[RunFigures]:
 def _parallel(tasks: Sequence[Task], jobs: int) -> Iterator[RunFigures]:
     # Forked processes would share the locks of a compiler that runs threads.
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        try:
-            for done in as_completed([pool.submit(_work, task) for task in tasks]):
-                yield done.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)  # or the first mistake is shown after the last run
-            raise
+        for done in as_completed([pool.submit(_work, task) for task in tasks]):
+            yield done.result()
 
 
 def _work(task: Task) -> RunFigures:

@@ -1,0 +1,65 @@
+"""Watches the current sensors: a failed one is missing, and what it said since it failed is taken back."""
+
+from __future__ import annotations
+
+import math
+
+from bms_ukf.estimator import Estimator
+from bms_ukf.failed.rewind import Rewind
+from bms_ukf.failed.sensor import CurrentSensor
+from bms_ukf.records import Estimate, Fault, Sample
+from bms_ukf.strings import Cells, seen_by, with_values
+
+
+class Watch:
+    """Looks at every sample before the estimator does. `fault`: what is wrong with any of the sensors.
+
+    `shown` has beside it what is only suspected: its sensor is used, and the status is degraded.
+    """
+
+    def __init__(self, estimator: Estimator) -> None:
+        self.fault = self.shown = Fault.NONE
+        self._estimator, self._rewind = estimator, Rewind()
+        cell, tuning = estimator.cell, estimator.tuning
+        low_V, high_V = cell.cell.voltage_limits_V
+        current_max_A = tuning.current_margin * max(abs(limit) for limit in cell.cell.current_limits_A)
+        plausible = current_max_A, (low_V - tuning.voltage_margin_V, high_V + tuning.voltage_margin_V)
+        strings = estimator.wiring.members()
+        self._one = None if strings else CurrentSensor(cell, estimator.cells, *plausible)
+        self._strings: list[tuple[int, Cells, CurrentSensor]] = [
+            (k, cells, CurrentSensor(cell, len(cells), *plausible, string=k + 1)) for k, cells in strings.items()
+        ]
+
+    def take(self, sample: Sample, estimate: Estimate) -> None:
+        """Turn into NaN what failed sensors say; `estimate` is the latest, and `sample` what comes after it."""
+        self._rewind.keep(self._estimator, sample.t_ns)
+        soc = estimate.soc
+        if self._one is not None:
+            if self._one.see(sample, soc):
+                self._judge(self._one, sample.t_ns)
+                self.fault = self._one.fault
+            self.shown = self.fault if self.fault is not _NONE else self._one.suspected
+            if self.fault is not _NONE:
+                sample.current_A = math.nan
+            return
+        changed = [sensor for k, cells, sensor in self._strings if sensor.see(seen_by(k, cells, sample), soc)]
+        for sensor in changed:
+            self._judge(sensor, sample.t_ns)
+        self.fault = self.shown = _NONE
+        for *_, sensor in self._strings:
+            self.fault |= sensor.fault
+            self.shown |= sensor.fault | sensor.suspected
+        if self.fault is not _NONE and sample.string_current_A is not None:
+            failed = [k for k, _, sensor in self._strings if sensor.fault is not _NONE]
+            sample.string_current_A = with_values(sample.string_current_A, failed, math.nan)
+
+    def distrust(self, t_ns: int) -> None:
+        """Go back as far as can be: the current was never right."""
+        self._rewind.back(self._estimator, 0, t_ns)
+
+    def _judge(self, sensor: CurrentSensor, t_ns: int) -> None:
+        if sensor.fault is not _NONE:
+            self._rewind.back(self._estimator, sensor.since_ns, t_ns)
+
+
+_NONE = Fault.NONE  # what an enumeration does, beyond being compared, takes longer
