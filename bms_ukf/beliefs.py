@@ -34,6 +34,18 @@ def alive(form: Form, state: Array, cells: int) -> NDArray[np.bool_]:
     return np.isfinite(per_cell(state, layout.H_VOLTAGE_AGE, cells) + per_cell(state, form.root, cells))
 
 
+def r0_scale(form: Form, state: Array, cells: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """r0 of every cell as a multiple of the cell file's, and its variance; (cells,) each."""
+    first = form.root + form.r0 * (form.r0 + 1) // 2
+    rows = [per_cell(state, slot, cells) for slot in range(first, first + form.r0 + 1)]
+    return 1.0 + per_cell(state, form.x + form.r0, cells), np.sum(np.square(rows), axis=0)
+
+
+def with_parts(state: Array, cells: int) -> NDArray[np.bool_]:
+    """Which cells have a belief that their components hold, shape (cells,)."""
+    return per_cell(state, layout.H_PARTS, cells) > 0
+
+
 def set_bias_aside(form: Form, state: Array) -> Array:
     """Make every bias 0 and known; returns its mean and variance, shape (2, blocks, lanes), empty without a bias."""
     if not form.bias:
@@ -83,8 +95,8 @@ def start_silent(form: Form, state: Array, cells: int, spread: float, waited_s: 
         record[last] = np.hypot(sigma, spread) if row == layout.SOC else sigma
     record[layout.H_VOLTAGE_AGE] = waited_s
     record[layout.H_HEARD_AGE] = record[layout.H_REJECTED_S] = np.nan
-    record[layout.H_RESIDUAL] = record[layout.H_OHMIC] = np.nan
     record[layout.H_FRESH] = 1
+    record[layout.H_PARTS] = 0
     record[form.cache :] = np.nan
     for cell in silent:
         block, lane = divmod(int(cell), form.lanes)

@@ -38,6 +38,7 @@ SOURCES = (
     "records.py",
     "resources.py",
     "sensor_spec.py",
+    "shown.py",
     "toml.py",
     "tuning.py",
     "wiring.py",

@@ -19,7 +19,7 @@ from bms_ukf import unscented
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.estimator import Estimator
-from bms_ukf.kernel import entry
+from bms_ukf.kernel import entry, layout
 from bms_ukf.kernel.params import SOC_SIGMA_MAX, params, state_names, voltage_sigmas
 from bms_ukf.records import Estimate, Sample
 from bms_ukf.tuning import Tuning
@@ -36,13 +36,13 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
     """The diagnosis of `cell` where SoC is `soc` (0..1) with one sigma of `sigma`; ready for JSON. SoC is 0..1 in it.
 
     cell, soc, soc_sigma, temperature_degC   what was asked
-    voltage_error_mV     one sigma of a voltage at rest: the sensor's error and the white and RC errors of [noise]
+    voltage_error_mV     one sigma of a voltage at rest: the sensor's error, and the model's fast and lasting ones
     bias                 for a small, medium and large sigma (a third, once and twice `sigma`): `soc_sigma`; `outside`,
                          the share of the belief beyond 0..1; `update`, how such a belief meets its first voltage; and
                          `true`, `tangent_line`, `ukf`: `mean_V`, `bias_mV` (mean minus true mean) and `std_mV` of the
                          terminal voltage before the error of its measurement
     sigma_points         `alpha`, `beta`, `kappa` of the default tuning; per point its states, `soc`, `v_rc1_V`..,
-                         `w_mean`, `w_cov`
+                         `v_slow_V`, `r0_error`, `w_mean`, `w_cov`
     positive_definite    `guaranteed`; `r_mV2` and `least_mV2` = r + e^2 (beta + alpha^2 (n + kappa - 1)), what is left
                          of the innovation variance when all that the states explain is taken from it; `e_mV`, the
                          mean shift
@@ -61,13 +61,16 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
     low, high = cell.cell.temperature_limits_degC
     _require("--temperature", temperature_degC, low <= temperature_degC <= high, f"{low:g}..{high:g} degC, the cell's")
 
-    tuning, noise = Tuning(), cell.noise
-    rc_sigmas_V = voltage_sigmas(cell)
-    error_V = math.hypot(noise.voltage_sigma_V, math.sqrt(tuning.voltage_white_var_V2), *rc_sigmas_V)
-    curve = Curve(cell, temperature_degC)
-    weights = unscented.scaled(1 + len(rc_sigmas_V), tuning.alpha, tuning.beta, tuning.kappa)
-    bias = {name: _bias(curve, soc, times * sigma, rc_sigmas_V, weights) for name, times in SIZES.items()}
-    points = unscented.sigma_points([soc] + [0] * len(rc_sigmas_V), np.diag([sigma, *rc_sigmas_V]) ** 2, weights.spread)
+    tuning, curve = Tuning(), Curve(cell, temperature_degC)
+    white_var_V2, slow_var_V2, r0_var = (
+        curve.params[place].item() for place in (layout.P_VAR_VOLTAGE, layout.P_SLOW_VAR, layout.P_R0_VAR)
+    )
+    voltages_V = [*voltage_sigmas(cell), math.sqrt(slow_var_V2)]
+    sigmas = [*voltages_V, math.sqrt(r0_var)]  # of the states beside SoC
+    error_V = math.hypot(math.sqrt(white_var_V2), *voltages_V)
+    weights = unscented.scaled(1 + len(sigmas), tuning.alpha, tuning.beta, tuning.kappa)
+    bias = {name: _bias(curve, soc, times * sigma, sigmas, weights) for name, times in SIZES.items()}
+    points = unscented.sigma_points([soc] + [0] * len(sigmas), np.diag([sigma, *sigmas]) ** 2, weights.spread)
     return {
         "cell": cell.cell.name,
         "soc": soc,
@@ -77,7 +80,7 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
         "bias": [
             {
                 "size": name,
-                "update": "quadrature" if row["soc_sigma"] > tuning.wide_soc_sigma else "sigma points",
+                "update": "components" if row["soc_sigma"] > tuning.wide_soc_sigma else "sigma points",
                 **row,
             }
             for name, row in bias.items()
@@ -89,9 +92,9 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
             "w_cov": weights.w_cov.tolist(),
         },
         "positive_definite": _positive_definite(
-            1 + len(rc_sigmas_V),
+            1 + len(sigmas),
             1e3 * (bias["medium"]["ukf"]["mean_V"] - curve.at(soc)),
-            1e6 * (noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2),
+            1e6 * white_var_V2,
             tuning,
         ),
         "observability": [_observability(curve, at, error_V) for at in np.linspace(0, 1, SLOPE_POINTS).tolist()],
@@ -104,16 +107,16 @@ class Curve:
     """The OCV of a cell at one temperature, as the kernel has it."""
 
     def __init__(self, cell: CellParams, temperature_degC: float) -> None:
-        self._params = params(cell, Tuning())
+        self.params = params(cell, Tuning())
         self._temperature_degC = temperature_degC
 
     def at(self, soc: float) -> float:
-        return entry.ocv()(self._params.ctypes.data, soc, self._temperature_degC)
+        return entry.ocv()(self.params.ctypes.data, soc, self._temperature_degC)
 
     def voltage(self, x: Array) -> Array:
-        """(m,) terminal voltages at rest, V, of points (m, 1) or (m, 3): SoC and, if given, the RC voltages."""
+        """(m,) terminal voltages at rest, V, of points: SoC alone, or all states, of which the last is the r0 error."""
         ocv = np.array([self.at(soc) for soc in x[:, 0].tolist()])
-        return np.asarray(ocv - x[:, 1:].sum(axis=1))
+        return np.asarray(ocv - x[:, 1:-1].sum(axis=1))
 
 
 def _require(option: str, value: float, fine: bool, expected: str) -> None:
@@ -121,12 +124,10 @@ def _require(option: str, value: float, fine: bool, expected: str) -> None:
         raise ConfigError(option, value=value, expected=expected)
 
 
-def _bias(
-    curve: Curve, soc: float, sigma: float, rc_sigmas_V: list[float], weights: unscented.Scaled
-) -> dict[str, Any]:
-    mean, covariance = [soc, 0.0, 0.0], np.diag([sigma, *rc_sigmas_V]) ** 2
+def _bias(curve: Curve, soc: float, sigma: float, sigmas: list[float], weights: unscented.Scaled) -> dict[str, Any]:
+    mean, covariance = [soc] + [0.0] * len(sigmas), np.diag([sigma, *sigmas]) ** 2
     ocv_mean, ocv_variance = unscented.quadrature(curve.voltage, soc, sigma)
-    true = ocv_mean, ocv_variance + np.sum(np.square(rc_sigmas_V))  # the RC voltages are linear and independent
+    true = ocv_mean, ocv_variance + np.sum(np.square(sigmas[:-1]))  # the other voltages are linear and independent
     found = {
         "true": true,
         "tangent_line": unscented.tangent_line(curve.voltage, mean, covariance),

@@ -55,11 +55,11 @@ def _bias(found: dict[str, Any]) -> Group:
             row["update"].removeprefix("sigma "),
         )
     outside = max(row["outside"] for row in found["bias"])
-    notes = [f"One voltage at rest is good for {found['voltage_error_mV']:.2f} mV (sensor and [noise], one sigma)."]
+    notes = [f"One voltage at rest is good for {found['voltage_error_mV']:.2f} mV (sensor and model, one sigma)."]
     if outside > MAX_OUTSIDE:
         notes.append("Outside 0..1 the curve goes on with its edge slope, as no cell does.")
-    if any(row["update"] == "quadrature" for row in found["bias"]):
-        notes.append("A wide belief meets its first voltage by quadrature over SoC, not by sigma points.")
+    if any(row["update"] == "components" for row in found["bias"]):
+        notes.append("A wide belief is a sum of narrow Gaussians over SoC, each with sigma points of its own.")
     return Group(table, *(Text(note, style="dim") for note in notes))
 
 

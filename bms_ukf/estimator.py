@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from bms_ukf import beliefs, shown
 from bms_ukf.cell import CellParams
 from bms_ukf.kernel import entry, layout
-from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params
+from bms_ukf.kernel.params import BITS, Precision, aligned, form_of, params, state_size
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
 from bms_ukf.percell import SHARE_NS, PerCell
 from bms_ukf.records import Estimate, Fault, Sample, Status
@@ -26,7 +26,7 @@ from bms_ukf.wiring import Wiring
 
 _NUMERIC = int(Fault.NUMERIC)
 _BODY = struct.Struct("<q?3q")  # cells, whether a sample was seen, its time, code, samples accepted; numbers follow
-_MAGIC = b"BMSUKF04"
+_MAGIC = b"BMSUKF05"
 
 
 class Estimator(PerCell):
@@ -44,7 +44,7 @@ class Estimator(PerCell):
     `precision` is that of the filter's numbers: "f64", or "f32" to see what a microcontroller would.
     """
 
-    __slots__ = ("_code", "_params", "_row", "_tick", "accepted", "cell", "t_ns")
+    __slots__ = ("_code", "_memory", "_params", "_parts", "_row", "_tick", "accepted", "cell", "t_ns")
 
     def __init__(
         self,
@@ -64,7 +64,10 @@ class Estimator(PerCell):
         form = self._form = form_of(cell, self.tuning, 1 if cells == 1 else layout.LANES, bits)
         self._params = params(cell, self.tuning, bits)
         blocks = -(-cells // form.lanes)
-        self._state = aligned(blocks * form.lanes * form.size, bits).reshape(blocks, form.size, form.lanes)
+        self._memory = aligned(state_size(form, cells), bits, filled=False)
+        records = blocks * form.lanes * form.size
+        self._state = self._memory[:records].reshape(blocks, form.size, form.lanes)
+        self._parts = self._memory[records:].reshape(cells, form.parts)  # components of each cell's belief
         self._io = aligned(layout.IO_ROWS * cells, bits).reshape(layout.IO_ROWS, cells)
         self._row: Any = memoryview(self._io[:, 0].data)  # a number in or out of it costs half of what an ndarray asks
         self._addresses = self._params.ctypes.data, self._state.ctypes.data, self._io.ctypes.data, cells
@@ -166,11 +169,12 @@ class Estimator(PerCell):
         self._io[[layout.IN_VOLTAGE, layout.IN_TEMPERATURE, layout.IN_OFFSET, layout.IN_CURRENT]] = np.nan
         bleed_A = self.bleed_A  # balancing stops with the rest
         self.bleed_A = math.nan
+        self._state[:, layout.H_PARTS] = 0  # their mean and covariance stay
         bias = beliefs.set_bias_aside(self._form, self._state)  # what flowed is known without the sensor
         self._code = self._tick(*self._addresses, float(off_s), tuning.standby_current_A)
         self._params[:] = held
         self.bleed_A = bleed_A
-        self._state[:, layout.H_FRESH] = 1  # the first voltage meets a belief that may be wide
+        self._state[:, layout.H_FRESH] = 1  # the first voltage meets a cell with an unknown history
         kept, unknown_A = math.exp(-off_s / float(held[layout.P_BIAS_TAU])), float(held[layout.P_BIAS_SIGMA])
         beliefs.take_bias_back(self._form, self._state, bias, kept, unknown_A)
 
@@ -215,6 +219,7 @@ class Estimator(PerCell):
         """All the estimator knows, for `restore`; valid for the same cell file, tuning, number of cells and strings."""
         body = _BODY.pack(self.cells, self.t_ns is not None, self.t_ns or 0, self._code, self.accepted)
         body += self._state.tobytes() + self._io.tobytes()
+        body += self._parts[beliefs.with_parts(self._state, self.cells)].tobytes()
         return _MAGIC + self._params_hash() + hashlib.sha256(body).digest() + body
 
     def restore(self, snapshot: bytes) -> None:
@@ -224,22 +229,30 @@ class Estimator(PerCell):
             raise ValueError(
                 f"a snapshot of another version ({magic.decode('ascii', 'replace')}, not {_MAGIC.decode()})"
             )
-        if magic != _MAGIC or len(body) != _BODY.size + self._state.nbytes + self._io.nbytes:
+        fixed = _BODY.size + self._state.nbytes + self._io.nbytes
+        if magic != _MAGIC or len(body) < fixed:
             raise ValueError(f"not a snapshot of {self.cells} cells by this version")
         if params_hash != self._params_hash():
             raise ValueError("a snapshot of another cell file or tuning")
         if body_hash != hashlib.sha256(body).digest():
             raise ValueError("a damaged snapshot")
         _, started, t_ns, code, accepted = _BODY.unpack_from(body)
-        numbers = np.frombuffer(body, self._state.dtype, offset=_BODY.size)
-        self._state[:] = numbers[: self._state.size].reshape(self._state.shape)
-        self._io[:] = numbers[self._state.size :].reshape(self._io.shape)
+        records, io, parts = np.split(
+            np.frombuffer(body, self._state.dtype, offset=_BODY.size),
+            [self._state.size, self._state.size + self._io.size],
+        )
+        state = records.reshape(self._state.shape)
+        with_parts = beliefs.with_parts(state, self.cells)
+        if parts.size != np.count_nonzero(with_parts) * self._form.parts:
+            raise ValueError(f"not a snapshot of {self.cells} cells by this version")
+        self._state[:], self._io[:] = state, io.reshape(self._io.shape)
+        self._parts[with_parts] = parts.reshape(-1, self._form.parts)
         self.t_ns, self._code, self.accepted = (t_ns if started else None), code, accepted
 
     def _params_hash(self) -> bytes:
         string_of = self.wiring.string_of  # whose sensor has which offset
         wired = b"" if string_of is None else string_of.tobytes()
-        return hashlib.sha256(bytes(self._form) + self._params.tobytes() + wired).digest()
+        return hashlib.sha256(repr(self._form).encode() + self._params.tobytes() + wired).digest()
 
     def _read(self, estimate: Estimate, code: int) -> None:
         estimate.t_ns = self.t_ns or 0

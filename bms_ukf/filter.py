@@ -56,7 +56,9 @@ class Filter:
         self._state[m.carry : m.cache] = 0
         self._state[layout.H_VOLTAGE_AGE] = self._state[layout.H_HEARD_AGE] = 1
         self._state[layout.H_REJECTED_S] = np.nan
-        for slot in ("VOLTAGE_SCALE", "R0_SCALE", "FRESH", "PER_CAPACITY", "RESISTANCE"):
+        self._state[layout.H_UNSEEN_S] = self._state[layout.H_PARTS] = self._state[layout.H_REPEATS] = 0
+        self._state[layout.H_POLARISED : layout.HELD] = 0
+        for slot in ("VOLTAGE_SCALE", "FRESH", "PER_CAPACITY", "RESISTANCE"):
             self._state[getattr(layout, f"H_{slot}")] = 1
         self._state[m.x : m.root] = mean
         self._state[m.root : m.carry] = np.diag(sigmas)[np.tril_indices(m.n)]

@@ -18,11 +18,6 @@ from bms_ukf.toml import Section
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 
-# Share of the capacity's doubt in the walk of SoC. A wrong capacity is one lasting error; the walk is white noise.
-# Over tests/test_accuracy.py: all of the doubt makes SoC noisy (RMSE 0.62 %); with a fifth RMSE is 0.41 % and the band
-# holds the truth in 94 % of rows, without it in 82 %.
-CAPACITY_WALK = 0.2
-
 
 class Tuning(Section):
     """Sensor errors, timeouts, gate and start-up of an `Estimator`; None: from the cell's capacity.
@@ -66,10 +61,10 @@ class Tuning(Section):
     voltage_margin_V: NonNegative = 0.7  # plausible: the cell's voltage limits and so much beyond
     current_margin: Annotated[float, Field(ge=1)] = 10.0  # plausible: so many times the cell's current limits
 
-    adaptive: bool = True  # let the innovations tell r0, and how large the fast voltage error is
+    adaptive: bool = True  # adapt the variance of the fast voltage error to the innovations
     gate_sigmas: Positive = 5.0
     reject_s: Positive = 30.0  # after so long the belief is doubted, not the voltage
-    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # a wider start is met by quadrature, not sigma points
+    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # above it a belief has components (`kernel.parts`)
     # Half of the 95 % interval of SoC: up to the first a cell is ok, above the second it has no SoC.
     ok_half_width: Annotated[float, Field(gt=0, le=0.5)] = 0.10
     invalid_half_width: Annotated[float, Field(gt=0, le=0.5)] = 0.40
@@ -87,7 +82,7 @@ class Tuning(Section):
     @property
     def charge_gain_sigma(self) -> float:
         """One sigma of the relative error of charge over capacity that the filter lets SoC walk by, 1."""
-        return math.hypot(self.sensor_spec.current_gain_sigma, CAPACITY_WALK * self.capacity_doubt)
+        return math.hypot(self.sensor_spec.current_gain_sigma, self.capacity_doubt)
 
     def check(self, cell: CellParams, source: str | Path, key: str) -> None:
         """Raise ConfigError if `sensor_spec`, the table `key` of the file `source`, is impossible for `cell`."""

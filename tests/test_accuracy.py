@@ -121,9 +121,9 @@ WEIGHTS = {
     "alpha 0.1, beta 2": {"alpha": 0.1},
     "alpha 1, beta 0 (cubature points)": {"beta": 0.0},
     "alpha 1, beta 2, kappa 2": {"kappa": 2.0},
-    "default, sigma points however wide": {"wide_soc_sigma": 0.5},
-    "classic, sigma points however wide": {"wide_soc_sigma": 0.5, "alpha": 1e-3},
-    "cubature, sigma points however wide": {"wide_soc_sigma": 0.5, "beta": 0.0},
+    "default, one Gaussian as soon as it fits": {"wide_soc_sigma": 0.5},
+    "classic, one Gaussian as soon as it fits": {"wide_soc_sigma": 0.5, "alpha": 1e-3},
+    "cubature, one Gaussian as soon as it fits": {"wide_soc_sigma": 0.5, "beta": 0.0},
 }
 
 

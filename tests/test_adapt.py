@@ -1,4 +1,4 @@
-"""What the innovations tell of the model: how large r0 is, how large the voltage error; and what must not tell it."""
+"""The r0 error is found from a load and nothing else; the size of the fast voltage error follows the innovations."""
 
 from __future__ import annotations
 
@@ -9,12 +9,21 @@ import pytest
 from drives import steady, terminal
 from scipy.signal import lfilter
 
-from bms_ukf import Estimator, Sample, Tuning
+from bms_ukf import CellParams, Estimator, Sample, Tuning
 from bms_ukf.kernel import layout
+from bms_ukf.kernel.params import params
 
 CELL = steady()
 R0 = float(CELL.dynamics_at(0.6, 25.0)["r0_ohm"])
 NAN = math.nan
+
+
+def aged(times: float) -> CellParams:
+    """CELL with all its resistances `times` those of its file, as an aged or a misjudged cell has them."""
+    data = CELL.model_dump(exclude_none=True)
+    for key in ("r0_ohm", "r1_ohm", "r2_ohm"):
+        data["dynamics"][key] = [[times * value for value in row] for row in data["dynamics"][key]]
+    return CellParams.model_validate(data)
 
 
 def load(steps: int, seed: int = 4) -> np.ndarray:
@@ -24,27 +33,41 @@ def load(steps: int, seed: int = 4) -> np.ndarray:
 
 
 def driven(
-    steps: int, r0: float = 1.0, offset_A: float = 0.0, noise_V: float = 0.002, rate_hz: float = 1.0, seed: int = 4
+    steps: int, times: float = 1.0, offset_A: float = 0.0, noise_V: float = 0.002, rate_hz: int = 1, seed: int = 4
 ) -> tuple[np.ndarray, ...]:
     """t_ns, current shown, voltage and temperature; and the true SoC. The resting cell was at 80 %."""
-    current = load(steps, seed)
-    soc, voltage = terminal(CELL, 0.8, current, rate_hz, r0)
-    voltage = voltage + noise_V * np.random.default_rng(seed + 1).standard_normal(steps)
-    t_ns = np.round(np.arange(steps) * 1e9 / rate_hz).astype(np.int64)
-    return t_ns, current + offset_A, voltage, np.full(steps, 25.0), soc
+    current = np.repeat(load(steps, seed), rate_hz)
+    soc, voltage = terminal(aged(times), 0.8, current, rate_hz)
+    voltage = voltage + noise_V * np.random.default_rng(seed + 1).standard_normal(current.size)
+    t_ns = np.arange(current.size) * (10**9 // rate_hz)
+    return t_ns, current + offset_A, voltage, np.full(current.size, 25.0), soc
 
 
 def held(estimator: Estimator, slot: int) -> float:
     return float(estimator._state[0, slot, 0])
 
 
-@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
-@pytest.mark.parametrize("r0", [0.7, 1.3])
-def test_an_r0_that_is_wrong_by_a_third_is_found_within_minutes_of_a_drive(r0, rate_hz):
-    *sample, _ = driven(round(600 * rate_hz), r0, rate_hz=rate_hz)
-    shown = Estimator(CELL).replay(*sample)["r0_ohm"]
-    assert abs(shown[1] / R0 - 1) < 0.1  # it did start from the file's
-    assert shown[-100:] / R0 == pytest.approx(r0, abs=0.05)
+@pytest.mark.parametrize("rate_hz", [1, 10])
+@pytest.mark.parametrize("times", [0.5, 0.7, 1.3, 2.0])
+def test_resistances_of_half_to_twice_the_files_are_found_within_minutes_of_a_drive(times, rate_hz):
+    *sample, soc = driven(1200, times, rate_hz=rate_hz)
+    got = Estimator(CELL).replay(*sample)
+    assert abs(got["r0_ohm"][0] / R0 - 1) < 0.1  # it did start from the file's
+    assert got["r0_ohm"][-300 * rate_hz :] / R0 == pytest.approx(times, abs=0.05)
+    assert np.abs(got["soc"] - soc)[-300 * rate_hz :].max() < 0.005
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10])
+@pytest.mark.parametrize("steady_A", [0.0, 1.0])
+def test_noise_of_the_current_sensor_at_a_current_that_stands_still_does_not_move_r0(steady_A, rate_hz):
+    """The noise moves the prediction and not the cell: learnt from, it would be evidence of no resistance."""
+    steps, rng = 3600 * rate_hz, np.random.default_rng(7)
+    current = np.full(steps, steady_A)
+    _, voltage = terminal(CELL, 0.8, current, rate_hz)
+    voltage = voltage + 0.002 * rng.standard_normal(steps)
+    shown = current + 0.02 * rng.standard_normal(steps)  # C/250
+    got = Estimator(CELL).replay(np.arange(steps) * (10**9 // rate_hz), shown, voltage, np.full(steps, 25.0))
+    assert np.abs(got["r0_ohm"] / R0 - 1).max() < 0.05
 
 
 @pytest.mark.parametrize("rate_hz", [2, 10, 50])
@@ -68,29 +91,26 @@ def test_an_offset_of_the_current_does_not_move_r0(offset_A):
 
 
 @pytest.mark.parametrize("offset_A", [-0.1, 0.1])
-@pytest.mark.parametrize("r0", [0.7, 1.3])
-def test_an_r0_and_an_offset_wrong_at_once_are_told_apart_and_stay_so(r0, offset_A):
+@pytest.mark.parametrize("times", [0.7, 1.3])
+def test_resistances_and_an_offset_wrong_at_once_are_told_apart_and_stay_so(times, offset_A):
     """Together they are bilinear: both change the level of the voltage. Six hours, most of a charge and back.
 
-    Of an offset, the voltage tells what shows beside the errors that the model may have: a part.
+    Of an offset, the voltage shows the part that is larger than the errors of the model: a tenth, as the slow voltage
+    error explains most of it.
     """
     steps = 6 * 3600
     current = load(steps) - 0.4 + 1.2 * np.sin(2 * np.pi * np.arange(steps) / 7200)
-    soc, voltage = terminal(CELL, 0.6, current, r0=r0)
+    soc, voltage = terminal(aged(times), 0.6, current)
     voltage = voltage + 0.002 * np.random.default_rng(1).standard_normal(steps)
     t_ns = np.arange(steps) * 10**9
     got = Estimator(CELL).replay(t_ns, current + offset_A, voltage, np.full(steps, 25.0))
-    blind = Estimator(CELL, tuning=Tuning(current_bias=False, adaptive=False))
-    blind_soc = blind.replay(t_ns, current + offset_A, voltage, np.full(steps, 25.0))["soc"]
     last = slice(-7200, None)
-    assert got["r0_ohm"][last] / R0 == pytest.approx(r0, abs=0.06)
+    assert got["r0_ohm"][last] / R0 == pytest.approx(times, abs=0.06)
     found = got["current_bias_A"][last] / offset_A
-    assert found.min() > 0.15
+    assert found.min() > 0.05
     assert found.max() < 1.0
-    assert np.ptp(found) < 0.25
-    error = np.abs(got["soc"] - soc)[last]
-    assert error.max() < 0.03
-    assert error.mean() < np.abs(blind_soc - soc)[last].mean()
+    assert np.ptp(found) < 0.1
+    assert np.abs(got["soc"] - soc)[last].max() < 0.02
 
 
 def test_a_lost_frame_of_the_current_does_not_move_r0():
@@ -100,16 +120,6 @@ def test_a_lost_frame_of_the_current_does_not_move_r0():
     current[600::4] = NAN  # the first second of every new current
     got = Estimator(CELL).replay(t_ns, current, voltage, temperature)["r0_ohm"]
     assert np.abs(got[600:] / R0 - 1).max() < 0.05
-
-
-def test_voltages_that_come_between_two_currents_do_not_move_r0():
-    t_ns, current, voltage, *_ = driven(1200)
-    estimator = Estimator(CELL)
-    for k, at in enumerate(t_ns.tolist()):
-        estimator.step(Sample(at, float(current[k])))
-        if k > 0:  # half a second late, when the cell is under the next one
-            estimator.step(Sample(at + 500_000_000, NAN, float(voltage[min(k + 1, 1199)]), 25.0))
-    assert held(estimator, layout.H_R0_SCALE) == 1.0
 
 
 def scales(estimator: Estimator, steps: int, noise_V: float, start: int) -> list[float]:
@@ -124,7 +134,7 @@ def scales(estimator: Estimator, steps: int, noise_V: float, start: int) -> list
 
 def test_the_voltage_error_grows_while_the_model_errs_more_and_comes_back():
     estimator = Estimator(CELL, tuning=Tuning(current_bias=False))
-    own = math.hypot(CELL.noise.voltage_sigma_V, Tuning().voltage_noise_V)
+    own = math.sqrt(params(CELL, Tuning())[layout.P_VAR_VOLTAGE])
     as_told, worse = scales(estimator, 1800, own, 0), scales(estimator, 1800, 4 * own, 1800)
     after = scales(estimator, 1800, own, 3600)
     assert max(as_told) < 2
@@ -138,12 +148,10 @@ def test_a_quiet_voltage_never_makes_the_error_smaller_than_the_cell_file_says()
     assert set(scales(estimator, 600, 0.0, 0)) == {1.0}
 
 
-def test_nothing_is_adapted_if_that_is_not_wanted():
-    t_ns, current, voltage, temperature, _ = driven(600, r0=1.5, noise_V=0.05)
+def test_the_voltage_error_is_not_adapted_if_that_is_not_wanted():
     estimator = Estimator(CELL, tuning=Tuning(adaptive=False))
-    got = estimator.replay(t_ns, current, voltage, temperature)
-    assert got["r0_ohm"] == pytest.approx(R0, rel=0.01)
-    assert held(estimator, layout.H_VOLTAGE_SCALE) == held(estimator, layout.H_R0_SCALE) == 1.0
+    estimator.replay(*driven(600, noise_V=0.05)[:4])
+    assert held(estimator, layout.H_VOLTAGE_SCALE) == 1.0
 
 
 def test_float32_finds_the_same_r0_and_offset():

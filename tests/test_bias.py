@@ -12,7 +12,7 @@ from drives import CELL
 
 from bms_ukf import Estimate, Estimator, Fault, Sample, Tuning
 from bms_ukf.kernel import layout, srukf
-from bms_ukf.kernel.layout import Form, form
+from bms_ukf.kernel.layout import form, form_at_compile_time
 from bms_ukf.kernel.memory import pointer
 
 SIGMA_A = CELL.cell.capacity_Ah / 50 / 1.96  # of an offset, before anything is known of it
@@ -115,8 +115,8 @@ def test_a_current_that_moves_is_no_rest():
 
 
 @numba.njit
-def _update(w: int, y: int, n_rc: int, n: int, n_v: int, x: int, root: int) -> None:
-    m = Form(n_rc, 0, 1, 0, 1, 0, n, n_v, 0, x, root, 0, 0, 0)
+def _update(w: int, y: int) -> None:
+    m = form_at_compile_time(2, 0, 1, 0, 1, 0, 0)
     srukf.update(pointer(w, 64), pointer(y, 64), 0, m)
 
 
@@ -133,7 +133,7 @@ def updated(trust: float, seed: int) -> tuple[np.ndarray, ...]:
     w[m.root :] = root[np.tril_indices(n)]
     y[layout.Y_FUSE], y[layout.Y_ALPHA], y[layout.Y_INNOVATION] = layout.BY_SIGMA_POINTS, r, innovation
     y[layout.Y_B : layout.Y_B + n], y[layout.Y_TRUST] = H @ root, trust
-    _update(w.ctypes.data, y.ctypes.data, m.n_rc, n, m.n_v, m.x, m.root)
+    _update(w.ctypes.data, y.ctypes.data)
     after = np.zeros((n, n))
     after[np.tril_indices(n)] = w[m.root :]
     assert np.diag(after).min() > 0

@@ -17,6 +17,9 @@ from rich.console import Console
 from bms_ukf import CellParams, Tuning, cli, diagnose, diagnose_view
 from bms_ukf.kernel import layout
 from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
+from bms_ukf.kernel.params import SLOW_SIGMA_V
+from bms_ukf.kernel.voltage import REPEATS_MOST
+from bms_ukf.sensor_spec import SensorSpec
 
 SIZES = [("small", 0.1 / 3), ("medium", 0.1), ("large", 0.2)]
 
@@ -24,6 +27,12 @@ SIZES = [("small", 0.1 / 3), ("medium", 0.1), ("large", 0.2)]
 @pytest.fixture(scope="module")
 def found(cell: CellParams) -> dict:
     return diagnose.diagnose(cell)
+
+
+def lasting_V(cell: CellParams) -> list[float]:
+    """Sigmas of the voltages that a cell at rest may carry."""
+    offset_V = SensorSpec().voltage_offset_sigma_V(float(cell.ocv_V(0.5, 25.0)))
+    return [cell.noise.v_rc1_sigma_V, cell.noise.v_rc2_sigma_V, math.hypot(SLOW_SIGMA_V, offset_V)]
 
 
 def shown(diagnosis: dict) -> str:
@@ -45,9 +54,9 @@ def test_the_truth_is_what_a_million_cells_drawn_at_random_show(cell, soc):
     row = diagnose.diagnose(cell, soc, 0.06)["bias"][1]
     rng = np.random.default_rng(5)
     drawn = rng.normal(soc, 0.06, 1_000_000)
-    noise = cell.noise
-    voltage = cell.ocv_V(drawn, 25.0) - rng.normal(0, noise.v_rc1_sigma_V, drawn.size)
-    voltage -= rng.normal(0, noise.v_rc2_sigma_V, drawn.size)
+    voltage = cell.ocv_V(drawn, 25.0)
+    for sigma_V in lasting_V(cell):
+        voltage -= rng.normal(0, sigma_V, drawn.size)
     std_mV = 1e3 * voltage.std()
     assert row["true"]["mean_V"] == pytest.approx(voltage.mean(), abs=4e-6 * std_mV)
     assert row["true"]["std_mV"] == pytest.approx(std_mV, rel=0.004)
@@ -64,7 +73,7 @@ def test_the_truth_is_the_curves_integral_over_every_one_of_its_pieces(cell, fou
         ocv = np.vectorize(record.ocv)(soc, 25.0)
         share = density * half[:, None] * weights
         mean = float((share * ocv).sum())
-        variance = float((share * (ocv - mean) ** 2).sum()) + cell.noise.v_rc1_sigma_V**2 + cell.noise.v_rc2_sigma_V**2
+        variance = float((share * (ocv - mean) ** 2).sum()) + sum(sigma_V**2 for sigma_V in lasting_V(cell))
         assert row["true"]["mean_V"] == pytest.approx(mean, abs=1e-7)
         assert row["true"]["std_mV"] == pytest.approx(1e3 * math.sqrt(variance), rel=1e-5)
 
@@ -75,13 +84,15 @@ def test_the_compiled_filter_predicts_the_same_mean_and_variance(cell, soc):
     for row in diagnosis["bias"]:
         record = Record(cell, Tuning(gate_sigmas=1e6, current_bias=False))
         record.tick(0.0, 0.0, 3.7, 25.0)
-        sigmas = [row["soc_sigma"], cell.noise.v_rc1_sigma_V, cell.noise.v_rc2_sigma_V]
-        record.x, record.root = [soc, 0.0, 0.0], np.diag(sigmas)
+        r0_sigma = math.sqrt(record.params[layout.P_R0_VAR])
+        record.x, record.root = [soc, 0.0, 0.0, 0.0, 0.0], np.diag([row["soc_sigma"], *lasting_V(cell), r0_sigma])
+        record["parts"] = 0  # the Gaussian is the belief, not a summary of components
         record["voltage_age"] = VOLTAGE_ERROR_S  # the next voltage is not crowded
         record.tick(0.0, 0.0, 3.7, 25.0)
         r = record.params[layout.P_VAR_VOLTAGE]
         assert record["voltage_pred"] == pytest.approx(row["ukf"]["mean_V"], abs=1e-13)
-        assert record["innovation_var"] - r == pytest.approx(1e-6 * row["ukf"]["std_mV"] ** 2, rel=1e-11)
+        measured_V2 = record["innovation_var"] - r / (1 + 1 / REPEATS_MOST)
+        assert measured_V2 == pytest.approx(1e-6 * row["ukf"]["std_mV"] ** 2, rel=1e-11)
         if row["size"] == "medium":
             sound = diagnosis["positive_definite"]
             assert sound["r_mV2"] == pytest.approx(1e6 * r, rel=1e-12)
@@ -92,12 +103,12 @@ def test_the_compiled_filter_predicts_the_same_mean_and_variance(cell, soc):
             assert sound["least_mV2"] > sound["r_mV2"]
 
 
-def test_the_points_are_the_filters_seven(found):
+def test_the_points_are_the_filters_eleven(found):
     points = found["sigma_points"]
-    reach = math.sqrt(3) * 0.1
-    assert points["soc"] == pytest.approx([0.5, 0.5 + reach, 0.5, 0.5, 0.5 - reach, 0.5, 0.5])
-    assert points["w_mean"] == pytest.approx([0.0, *[1 / 6] * 6])
-    assert points["w_cov"] == pytest.approx([2.0, *[1 / 6] * 6])
+    reach = math.sqrt(5) * 0.1
+    assert points["soc"] == pytest.approx([0.5, 0.5 + reach, *[0.5] * 4, 0.5 - reach, *[0.5] * 4])
+    assert points["w_mean"] == pytest.approx([0.0, *[1 / 10] * 10])
+    assert points["w_cov"] == pytest.approx([2.0, *[1 / 10] * 10])
 
 
 def test_the_keys_are_those_that_are_documented(found):
@@ -109,7 +120,7 @@ def test_the_keys_are_those_that_are_documented(found):
     for row in found["bias"]:
         assert set(row) == {"size", "update", "soc_sigma", "outside", "true", "tangent_line", "ukf"}
         assert row["true"]["bias_mV"] == 0
-    assert [row["update"] for row in found["bias"]] == ["quadrature", "quadrature", "quadrature"]
+    assert [row["update"] for row in found["bias"]] == ["components", "components", "components"]
     assert found["step_us"] > 0
 
 
@@ -171,7 +182,7 @@ def test_the_text_fits_80_columns_and_loses_nothing(cell, soc, sigma):
     text = shown(diagnosis)
     assert max(len(line) for line in text.splitlines()) <= 80
     assert "…" not in text
-    for piece in ("small", "medium", "large", "quadrature", "EKF bias", "mV per %", "µs", "covariance weight"):
+    for piece in ("small", "medium", "large", "components", "EKF bias", "mV per %", "µs", "covariance weight"):
         assert piece in text, piece
     words = diagnosis["verdict"]["text"].split()
     assert all(word in text for word in words)

@@ -28,7 +28,7 @@ def kalman(cell: CellParams, given: Signals, told: Told) -> tuple[np.ndarray, np
     noise, Q_As, tuning = cell.noise, 3600 * cell.cell.capacity_Ah, Tuning()
     r, tau = np.array([at["r1_ohm"], at["r2_ohm"]]), np.array([at["tau1_s"], at["tau2_s"]])
     own_var = np.array([noise.v_rc1_sigma_V, noise.v_rc2_sigma_V]) ** 2
-    offset_A, gain = cell.cell.capacity_Ah / 50 / 1.96, np.hypot(0.005 / 1.96, 0.01)
+    offset_A, gain = cell.cell.capacity_Ah / 50 / 1.96, np.hypot(0.005 / 1.96, 0.05)
     first = given.current_A[0]
     x = np.array([told.soc, *(r * first / 2)])
     P = np.diag([told.sigma**2, *(own_var + r**2 * ((cell.cell.capacity_Ah / 20) ** 2 + first**2 / 4))])
@@ -61,13 +61,16 @@ def test_on_a_linear_cell_the_ekf_is_the_kalman_filter() -> None:
     assert found["soc_sigma"] == pytest.approx(sigma, rel=1e-6)
 
 
-def test_on_a_linear_cell_with_wide_gates_ours_and_the_ekf_agree() -> None:
-    """Same model, same noise, same start: what is left between the two is what the comparison is about."""
+def test_on_a_linear_cell_ours_and_the_ekf_agree_but_for_errors_that_last() -> None:
+    """Same circuit, same sensors, same start. Ours doubts the curve and the resistances, too, so it is the wider."""
     given, told = signals(), Told(0.7, 0.015)
     tuning = Tuning(gate_sigmas=1e6, current_bias=False, adaptive=False)
     ours, ekf = (prepare(name, LINEAR, tuning)(given, told) for name in ("srukf", "ekf"))
-    assert ours["soc"] == pytest.approx(ekf["soc"], abs=2e-4)
-    assert ours["soc_sigma"] == pytest.approx(ekf["soc_sigma"], rel=0.02)
+    apart = np.abs(ours["soc"] - ekf["soc"])
+    assert np.all(apart < ours["soc_sigma"])
+    assert np.all(apart < 0.005)
+    assert np.all(ours["soc_sigma"][60:] > ekf["soc_sigma"][60:])
+    assert np.all(ours["soc_sigma"] < 0.02)
 
 
 def test_the_ekf_refuses_an_outlier_and_finds_its_way_when_it_was_soc_that_was_wrong() -> None:

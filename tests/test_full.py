@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -84,10 +85,30 @@ class Filter:
         return self.x.ctypes.data, self.root.ctypes.data, self.points.ctypes.data
 
 
-def cell_model(record, dt: float, i: float, T: float, before: float, scheduled: bool):
-    """Process, its noise and measurement of CELL from `before`, the mean SoC; tables at the mean, or at each point."""
+class Past(NamedTuple):
+    """What the currents so far have left behind: low-pass of the ohmic drop and the RC voltages by it alone, V."""
+
+    recent: float
+    polarised: Array
+
+    def after(self, record, dt: float, i: float, T: float, mean: float) -> Past:
+        here = record.dynamics(mean, T)
+        a = np.array([math.exp(-dt / here["tau1_s"]), math.exp(-dt / here["tau2_s"])])
+        charged = (1 - a) * i * np.array([here["r1_ohm"], here["r2_ohm"]])
+        drop = record.drop(mean, T, i)
+        return Past(self.recent + (drop - self.recent) * dt / (dt + 3.0), a * self.polarised + charged)
+
+
+def cell_model(record, dt: float, i: float, T: float, before: Array, past: Past, scheduled: bool):
+    """Process, its noise and measurement of CELL from `before`, the mean; tables at the mean SoC, or at each point."""
     efficiency = 0.99 if i < 0 else 1.0
-    mean = before - efficiency * i * dt / 18000
+    mean = before[0] - efficiency * i * dt / 18000
+    p = record.params
+    moved = abs(i) * dt
+    kept = [
+        math.exp(-dt / p[tau] - p[rate] * moved)
+        for tau, rate in ((layout.P_SLOW_TAU, layout.P_SLOW_RATE), (layout.P_R0_TAU, layout.P_R0_RATE))
+    ]
 
     def at(soc: float) -> dict[str, float]:
         return record.dynamics(mean if scheduled else soc, T)
@@ -96,31 +117,43 @@ def cell_model(record, dt: float, i: float, T: float, before: float, scheduled: 
         soc = x[0] - efficiency * i * dt / 18000
         here = at(soc)
         a1, a2 = math.exp(-dt / here["tau1_s"]), math.exp(-dt / here["tau2_s"])
-        return np.array([soc, a1 * x[1] + (1 - a1) * here["r1_ohm"] * i, a2 * x[2] + (1 - a2) * here["r2_ohm"] * i])
+        v1, v2 = a1 * x[1] + (1 - a1) * here["r1_ohm"] * i, a2 * x[2] + (1 - a2) * here["r2_ohm"] * i
+        return np.array([soc, v1, v2, kept[0] * x[3], kept[1] * x[4]])
 
-    here, p = record.dynamics(mean, T), record.params
-    q = [dt * (p[layout.P_SOC_WALK_OFFSET] + p[layout.P_SOC_WALK_GAIN] * i * i)]
+    here = record.dynamics(mean, T)
+    q = [dt * p[layout.P_SOC_WALK_OFFSET] + p[layout.P_SOC_WALK_GAIN] * moved]
     for j, shift in ((1, here["r1_ohm"]), (2, here["r2_ohm"] + here["r0_ohm"])):
         error = p[layout.P_RC_REL] * here[f"r{j}_ohm"] * i
         variance = p[layout.P_VAR_V + j - 1] + error**2 + (p[layout.P_CURRENT_OFFSET] * shift) ** 2
         q.append(-math.expm1(-2 * dt / here[f"tau{j}_s"]) * variance)
+    q += [(1 - a**2) * p[slot] for a, slot in zip(kept, (layout.P_SLOW_VAR, layout.P_R0_VAR), strict=True)]
     drop = record.drop(mean, T, i)
-    r = p[layout.P_VAR_VOLTAGE] + (p[layout.P_R0_REL] * drop) ** 2
-    return f, np.diag(q), lambda x: record.ocv(x[0], T) - x[1] - x[2] - drop, r
+    r = (p[layout.P_VAR_VOLTAGE] + (p[layout.P_FAST_REL] * (drop - past.recent)) ** 2) / (1 + 1 / 300)
+    lead = past.recent + past.polarised.sum()
+    now = drop + past.after(record, dt, i, T, mean).polarised.sum()
+    error = kept[1] * before[4]
+
+    def h(x: Array) -> float:
+        return record.ocv(x[0], T) - x[1] - x[2] - x[3] - drop - now * error - lead * (x[4] - error)
+
+    return f, np.diag(q), h, r, mean
 
 
 def over_a_drive(alpha: float, scheduled: bool, steps: int) -> tuple[Array, Array]:
     """Largest differences of x and of P from the production filter's, and the largest of each."""
     record = exact(CELL, Tuning(initial_soc=0.8, initial_soc_sigma=0.1, alpha=alpha, **PLAIN))
-    worst, largest, blind = np.zeros(2), np.zeros(2), None
+    worst, largest, blind, past = np.zeros(2), np.zeros(2), None, None
     for k, (dt, current, voltage, T) in enumerate(drive(steps, varying_dt=False, seed=5)):
-        if k > 0 and blind is not None:
-            f, Q, h, r = cell_model(record, dt, current, T, blind.x[0], scheduled)
+        if k > 0:
+            f, Q, h, r, mean = cell_model(record, dt, current, T, blind.x, past, scheduled)
+            past = past.after(record, dt, current, T, mean)
             assert blind.predict(f, Q) == 0
             assert blind.update(h, voltage, r) == full.FUSED
         record.tick(dt, current, voltage, T)
         if blind is None:
-            blind = Filter(record.x, record.P, alpha)
+            x, sigma = np.array([0.8, 0.01, -0.01, 0.0, 0.0]), np.array([0.1, 0.01, 0.01, 0.005, 0.2])
+            blind, past = Filter(x, np.diag(sigma**2), alpha), Past(record.drop(0.8, T, current), np.zeros(2))
+            record.x, record.root, record["parts"] = x, np.diag(sigma), 0.0  # one Gaussian from here on
         worst = np.maximum(worst, [np.abs(record.x - blind.x).max(), np.abs(record.P - blind.P).max()])
         largest = np.maximum(largest, [1.0, np.abs(record.P).max()])
     assert record.root[0, 0] < 0.02

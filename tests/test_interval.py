@@ -31,10 +31,10 @@ CLOSE = 1e-4  # SoC
 def describe(bits: int) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
     """A function of means and sigmas, arrays of one length, that returns (4, length): soc, sigma, low, high."""
     m = form(2, 0, 0, 0, LANES, 0)
-    n_rc, hysteresis, bias, core, lanes, compensated = m.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = m.variant
 
     def lanes_of(w: int, y: int) -> None:
-        here = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        here = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         interval.describe(pointer(w, bits), pointer(y, bits), here, lanes)
 
     run = entry(lanes_of, "void(int64, int64)")
@@ -113,7 +113,9 @@ def test_an_estimate_has_the_interval_of_the_belief(precision, cells):
     tuning = Tuning(initial_soc=0.97, initial_soc_sigma=0.03)
     estimator = Estimator(CELL, cells, tuning, precision)
     voltage = float(CELL.ocv_V(0.97, 25.0))
-    estimate = estimator.step(Sample(0, 0.0, voltage if cells == 1 else np.full(cells, voltage), 25.0))
+    estimator.step(Sample(0, 0.0, voltage if cells == 1 else np.full(cells, voltage), 25.0))
+    estimator._state[:, layout.H_PARTS] = 0  # one Gaussian in place of the components
+    estimate = estimator.step(Sample(10**9, 0.0, np.nan if cells == 1 else np.full(cells, np.nan), 25.0))
     m = estimator._form
     means, sigmas = (estimator._state[0, row, :cells].astype(float) for row in (m.x, m.root))
     found = np.array([estimate.soc, estimate.soc_sigma, estimate.soc_low, estimate.soc_high]).reshape(4, cells)
@@ -134,7 +136,7 @@ def test_the_width_of_the_interval_decides_the_status(ok, invalid, status, fault
     tuning = Tuning(initial_soc=0.5, ok_half_width=ok, invalid_half_width=invalid)
     record = Record(CELL, tuning)
     record.tick(0.0, 0.0, float(CELL.ocv_V(0.5, 25.0)), 25.0)
-    record.x, record.root = np.array([0.5, 0.0, 0.0, 0.0]), np.diag([0.05, 1e-3, 1e-3, 1e-3])
+    record.x, record.root, record["parts"] = np.array([0.5, *[0.0] * 5]), np.diag([0.05, *[1e-3] * 5]), 0.0
     assert record.tick(0.0) == (status, faults)
 
 

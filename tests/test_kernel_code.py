@@ -235,7 +235,7 @@ def test_95_percent_of_the_truth_lies_in_the_95_percent_band_on_a_matched_model(
     ("prefix", "wide", "size"),
     [
         ("P_", {"P_OCV": 6, "P_DYN": 6, "P_VAR_V": layout.N_RC_MAX + 1}, layout.PARAMS_HEADER),
-        ("H_", {}, layout.HELD),
+        ("H_", {"H_PART_WIDTH": 2, "H_POLARISED": layout.N_RC_MAX}, layout.HELD),
         ("T_", {}, 6),
         ("OUT_", {}, layout.IO_ROWS),
         (
@@ -245,8 +245,8 @@ def test_95_percent_of_the_truth_lies_in_the_95_percent_band_on_a_matched_model(
                 "Y_OCV_D": 3,
                 "Y_B": layout.N_MAX,
                 "Y_DYN": layout.CHANNELS_MAX,
-                "Y_FALL": layout.N_RC_MAX + 2,
-                "Y_FADE": layout.N_RC_MAX + 1,
+                "Y_FALL": layout.N_RC_MAX + 4,
+                "Y_FADE": layout.N_RC_MAX + 3,
             },
             layout.VALUES,
         ),

@@ -41,6 +41,7 @@ LIBM_STACK = 64  # bytes that floorf may take
 TIME_LIMIT_S = 120
 CLOCK_HZ = 216e6
 CYCLES = 2  # an instruction: pessimistic for a Cortex-M7 with its caches on
+USUAL_MAX = 20_000  # instructions of a step of one Gaussian; components take far more
 
 
 class Board(NamedTuple):
@@ -178,13 +179,19 @@ def test_the_trace_on_the_processor_is_that_of_the_daemons_float32_but_for_fused
     assert difference < 1e-5
 
 
-def test_a_step_takes_no_longer_than_100_us_at_216_mhz(run):
-    """All but the first voltage, which meets a wide belief: its quadrature takes some ten times as long."""
+def test_a_step_takes_no_longer_than_100_us_at_216_mhz_and_2_ms_where_components_hold_the_belief(run):
+    """The components take over at the first voltage, which costs most: it is weighed on fine intervals of SoC."""
     count = run.answers["instructions"]
-    usual = np.sort(count)[:-1]
-    say(run, f"{usual.mean():.0f} instructions a step, {usual.max()} at most; first voltage {count.max()}")
+    by_components = count > USUAL_MAX
+    usual, parts = count[~by_components], count[by_components]
+    text = f"{usual.mean():.0f} instructions a step, {usual.max()} at most; of components {len(parts)} steps of"
+    say(run, f"{text} {np.median(parts):.0f}, {np.sort(parts)[-2]} at most; first voltage {count[0]}")
     assert usual.min() > 500
+    assert len(usual) > len(count) / 2
+    assert len(parts) > 0
+    assert count[0] == count.max()
     assert usual.max() * CYCLES / CLOCK_HZ < 100e-6
+    assert np.sort(parts)[:-1].max() * CYCLES / CLOCK_HZ < 2e-3
 
 
 def test_the_stack_a_step_takes_is_what_the_report_says(run):

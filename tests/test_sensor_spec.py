@@ -16,7 +16,7 @@ from bms_ukf.cosim import run
 from bms_ukf.dbc import Matrix
 from bms_ukf.hil.unit import write_config
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.params import params
+from bms_ukf.kernel.params import MOVED, R0_PER_K, params
 from bms_ukf.scenario import Scenario
 from bms_ukf.signal_scale import resolutions
 from bms_ukf.signals import SignalMap, bind
@@ -42,6 +42,8 @@ segments = [{ current_A = 1.0, duration_s = 20 }]
 cell = "lgm50_chen2020"
 """
 
+EXACT = SensorSpec(voltage_offset_V=0.0, voltage_gain=0.0, temperature_K=0.0, skew_s=0.0)
+
 
 @pytest.fixture
 def config(tmp_path):
@@ -61,24 +63,20 @@ def header(**tuning: object):
 
 def test_a_bound_is_1_96_sigma_in_the_header_of_the_kernel():
     spec = SensorSpec(
-        voltage_offset_V=0.0196, voltage_gain=0.0, current_offset_A=0.392, current_gain=0.0098, temperature_K=3.92,
-        skew_s=0.49, current_resolution_A=0.05,
-    )  # fmt: skip
-    p = header(sensor_spec=spec, capacity_doubt=0.03)
-    slots = [
-        k.P_VOLTAGE_OFFSET, k.P_BIAS_SIGMA, k.P_CURRENT_GAIN, k.P_TEMPERATURE, k.P_SKEW, k.P_CURRENT_RESOLUTION,
-        k.P_CAPACITY_DOUBT,
-    ]  # fmt: skip
-    assert p[slots] == pytest.approx([0.01, 0.2, 0.005, 2.0, 0.25, 0.05, 0.03])
-    charge = 3600 * CELL.cell.capacity_Ah
-    assert p[k.P_SOC_WALK_GAIN] == pytest.approx((0.005**2 + (0.2 * 0.03) ** 2) / charge**2 * 7200)
+        voltage_offset_V=0.0196, voltage_gain=0.0, current_offset_A=0.392, temperature_K=3.92, skew_s=0.49
+    )
+    p, exact = header(sensor_spec=spec), header(sensor_spec=EXACT)
+    assert p[k.P_BIAS_SIGMA] == pytest.approx(0.2)
+    assert p[k.P_SLOW_VAR] - exact[k.P_SLOW_VAR] == pytest.approx(0.01**2)
+    assert p[k.P_R0_VAR] - exact[k.P_R0_VAR] == pytest.approx((R0_PER_K * 2.0) ** 2)
+    assert p[k.P_FAST_REL] == pytest.approx(math.hypot(exact[k.P_FAST_REL], 0.25))
 
 
-def test_a_capacity_that_is_certain_lets_soc_walk_by_the_gain_of_the_sensor_alone():
+def test_soc_walks_by_the_gain_of_the_sensor_and_the_doubt_of_the_capacity():
     charge = 3600 * CELL.cell.capacity_Ah
-    sure = header(capacity_doubt=0.0)
-    assert sure[k.P_CAPACITY_DOUBT] == 0.0
-    assert sure[k.P_SOC_WALK_GAIN] == pytest.approx((0.005 / 1.96 / charge) ** 2 * 7200)
+    both = header(sensor_spec=SensorSpec(current_gain=0.0098), capacity_doubt=0.03)
+    assert both[k.P_SOC_WALK_GAIN] == pytest.approx((0.005**2 + 0.03**2) * MOVED / charge)
+    assert header(capacity_doubt=0.0)[k.P_SOC_WALK_GAIN] == pytest.approx((0.005 / 1.96) ** 2 * MOVED / charge)
 
 
 def test_the_default_offset_is_a_fiftieth_of_the_capacity_an_hour():
@@ -88,8 +86,9 @@ def test_the_default_offset_is_a_fiftieth_of_the_capacity_an_hour():
 
 def test_offset_and_gain_of_the_voltage_add_as_independent_errors_at_the_nominal_voltage():
     nominal_V = float(CELL.ocv_V(0.5, 25.0))
-    both = header(sensor_spec=SensorSpec(voltage_offset_V=0.005, voltage_gain=0.002))[k.P_VOLTAGE_OFFSET]
-    assert both == pytest.approx(math.hypot(0.005, 0.002 * nominal_V) / 1.96)
+    both = header(sensor_spec=SensorSpec(voltage_offset_V=0.005, voltage_gain=0.002))[k.P_SLOW_VAR]
+    exact = header(sensor_spec=EXACT)[k.P_SLOW_VAR]
+    assert both - exact == pytest.approx((0.005**2 + (0.002 * nominal_V) ** 2) / 1.96**2)
 
 
 def test_rounding_is_a_uniform_error_of_one_step():
@@ -97,7 +96,8 @@ def test_rounding_is_a_uniform_error_of_one_step():
     coarse = SensorSpec(voltage_resolution_V=0.012, temperature_resolution_K=2.4, temperature_K=0.0)
     p, fine = header(sensor_spec=coarse), header()
     assert p[k.P_VAR_VOLTAGE] - fine[k.P_VAR_VOLTAGE] == pytest.approx(0.012**2 / 12)
-    assert p[k.P_TEMPERATURE] == pytest.approx(2.4 / math.sqrt(12))
+    exact = header(sensor_spec=EXACT)
+    assert p[k.P_R0_VAR] - exact[k.P_R0_VAR] == pytest.approx((R0_PER_K * 2.4) ** 2 / 12)
 
 
 def test_a_lasting_error_of_the_voltage_is_not_white_noise():

@@ -32,6 +32,7 @@ CONFIG = """
 format = 1
 cell = "lgm50_chen2020"
 silence_s = 5.0
+estimator = { initial_soc = 0.7, initial_soc_sigma = 0.01 }
 [bus]
 interface = "socketcan"
 channel = "can0"

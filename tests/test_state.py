@@ -65,13 +65,14 @@ def test_a_belief_comes_back_as_it_was_but_for_what_the_time_off_did(stored):
 
 
 def test_the_doubt_is_that_of_the_time_off(stored):
-    sigmas = []
-    for days in (1, 10):
+    variances = []
+    for days in (0, 1, 10):
         estimator = Estimator(CELL)
-        assert taken_up(estimator, stored, NOW_NS + days * 24 * HOUR_NS) is Stored.USED
-        sigmas.append(estimator.coast(10**9).soc_sigma)
-    assert sigmas[0] > 0.01
-    assert sigmas[1] > 5 * sigmas[0]
+        assert taken_up(estimator, stored, NOW_NS - HOUR_NS + days * 24 * HOUR_NS) is Stored.USED
+        variances.append(estimator.coast(10**9).soc_sigma ** 2)
+    grown = variances[1] - variances[0]
+    assert grown > 0.01**2
+    assert variances[2] - variances[0] > 25 * grown
 
 
 def test_without_a_file_it_is_the_first_start(tmp_path):

@@ -74,7 +74,7 @@ def export(
     `target` is one of `TARGETS`. ConfigError if the precision cannot hold the cell, or the folder cannot be written.
     """
     tuning, bits, machine = tuning or Tuning(), BITS[precision], TARGETS[target]
-    form, numbers = form_of(cell, tuning, 1, bits), params(cell, tuning, bits, TABLES[tables])
+    form, numbers = form_of(cell, tuning, 1, bits, part_lanes=1), params(cell, tuning, bits, TABLES[tables])
     _require_held(numbers, params(cell, tuning, 64, TABLES[tables]), cell, precision)
     made = compiled(form, cells, numbers, machine)
     costs = cost(made, form, cells, bits, machine)

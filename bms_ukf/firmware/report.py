@@ -36,7 +36,7 @@ def cost(compiled: Compiled, form: Form, cells: int, bits: int, target: Target) 
     return Cost(
         code=sum(sections.values()) - tables,
         tables=tables,
-        ram_cell=number * (form.size + layout.IO_ROWS),
+        ram_cell=number * (form.size + layout.IO_ROWS + form.parts),
         ram_shared=number * (HEADER + compiled.work),
         ram=number * (size(form, cells) + compiled.work),
         stack=None if frames is None else stack.worst(frames, "bms_ukf_step"),

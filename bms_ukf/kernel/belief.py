@@ -1,4 +1,4 @@
-"""Beliefs that do not come from a filter step: the first one, and the one after voltages refused in an unbroken row."""
+"""The belief before a first voltage, which its components then take over (`parts`)."""
 
 from __future__ import annotations
 
@@ -27,18 +27,32 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
                 w[W * (m.x + k.V_RC1 + j) + c] = resistance(p, w, y, m, c, j) * half
             if m.hysteresis:
                 w[W * (m.x + k.V_RC1 + m.n_rc) + c] = real(w, 0)
+            w[W * (m.x + m.n_v) + c] = w[W * (m.x + m.r0) + c] = real(w, 0)
             if m.bias:
                 w[W * (m.x + m.n - 1) + c] = w[W * k.H_SHARED + c] = real(w, 0)
                 w[W * k.H_SHARED_VAR + c] = p[k.P_BIAS_SIGMA] * p[k.P_BIAS_SIGMA]
             before = math.sqrt(p[k.P_INITIAL_CURRENT] * p[k.P_INITIAL_CURRENT] + half * half)
             believe(p, w, y, m, c, p[k.P_INITIAL_SOC], p[k.P_INITIAL_SIGMA], before)
             w[W * k.H_GAP_S + c] = real(w, 0)
-            w[W * k.H_CORE_RISE + c] = w[W * k.H_SOC_WALK + c] = real(w, 0)
+            w[W * k.H_CORE_RISE + c] = w[W * k.H_SOC_WALK + c] = w[W * k.H_PARTS + c] = real(w, 0)
+            w[W * k.H_UNSEEN_S + c] = real(w, 0)
+            for j in range(k.N_RC_MAX):
+                w[W * (k.H_POLARISED + j) + c] = real(w, 0)
             adapt.start(w, m, c)
             w[W * k.H_REST_A + c] = real(w, math.nan)
             w[W * k.H_LOADED + c] = real(w, 0)
             w[W * k.H_VOLTAGE_AGE + c] = real(w, VOLTAGE_ERROR_S)  # no voltage was fused lately
             y[W * k.Y_ALIVE + c] = real(w, 1)
+
+
+@inline
+def is_finite(w: Any, m: Any, c: int) -> Any:
+    """Whether a lane has a belief, and one of numbers only."""
+    W = m.lanes
+    total = w[W * k.H_VOLTAGE_AGE + c]
+    for slot in range(m.x, m.carry):
+        total += abs(w[W * slot + c])
+    return total - total == real(w, 0)
 
 
 @inline
@@ -66,6 +80,8 @@ def believe(p: Any, w: Any, y: Any, m: Any, c: int, soc: Any, sigma: Any, before
         # Anywhere between the branches: a uniform distribution.
         anywhere = largest * largest / real(w, 3)
         w[W * (m.root + tri(row, row)) + c] = math.sqrt(error * p[k.P_VAR_V + m.n_rc] + anywhere)
+    w[W * (m.root + tri(m.n_v, m.n_v)) + c] = math.sqrt(error * p[k.P_SLOW_VAR])
+    w[W * (m.root + tri(m.r0, m.r0)) + c] = math.sqrt(p[k.P_R0_VAR])
     if m.bias:
         w[W * (m.root + tri(m.n - 1, m.n - 1)) + c] = p[k.P_BIAS_SIGMA]
 
@@ -75,42 +91,3 @@ def resistance(p: Any, w: Any, y: Any, m: Any, c: int, j: int) -> Any:
     """r of an RC pair at half charge, ohm: SoC is not known yet, and at the ends of a table r is beyond all measure."""
     W = m.lanes
     return w[W * k.H_RESISTANCE + c] * dynamics(p, real(p, 0.5), y[W * k.Y_T + c], k.D_RC1 + 2 * j, m.channels)
-
-
-@inline
-def largest_sigma(p: Any, w: Any, y: Any, m: Any, c: int, row: int) -> Any:
-    """Of a state, whatever happens: SoC, V or A."""
-    largest = p[k.P_SOC_SIGMA_MAX]
-    if k.V_RC1 <= row < k.V_RC1 + m.n_rc:
-        largest = resistance(p, w, y, m, c, row - k.V_RC1) * p[k.P_CURRENT_RANGE]
-    if m.hysteresis and row == k.V_RC1 + m.n_rc:
-        largest = y[m.lanes * (k.Y_DYN + k.D_RC1 + 2 * m.n_rc) + c]
-    if m.bias and row == m.n - 1:
-        largest = p[k.P_BIAS_SIGMA]
-    return largest
-
-
-@inline
-def doubt(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """Where voltages have been refused for P_REJECT_S, this one too, the belief was too sure of itself: widen it.
-
-    SoC may be wrong, or the voltages that the current has left in the cell; which of them, nobody can tell. Sigmas grow
-    by the factor that makes this innovation one of one sigma, so the next voltage moves each as far as it is in doubt;
-    but none beyond what its state can be off by, or a cell that is empty would be one of a large drop. The next voltage
-    is the first of this belief.
-    """
-    W = m.lanes
-    for c in range(lanes):
-        if y[W * k.Y_FUSE + c] == real(w, k.DOUBT):
-            factor = abs(y[W * k.Y_INNOVATION + c]) / math.sqrt(y[W * k.Y_VARIANCE + c])
-            for row in range(m.n):
-                variance = real(w, 0)
-                for column in range(row + 1):
-                    old = w[W * (m.root + tri(row, column)) + c]
-                    variance += old * old
-                most = largest_sigma(p, w, y, m, c, row) / math.sqrt(variance)
-                times = max(real(w, 1), min(factor, most))
-                for column in range(row + 1):
-                    w[W * (m.root + tri(row, column)) + c] *= times
-            w[W * k.H_FRESH + c] = real(w, 1)
-            w[W * k.H_REJECTED_S + c] = real(w, math.nan)

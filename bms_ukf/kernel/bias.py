@@ -15,6 +15,7 @@ sum of squares.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from bms_ukf.kernel import layout as k
@@ -80,6 +81,7 @@ def fuse_rest(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, la
         w[W * k.H_SHARED + c] = common + gain * (shown - common) if fuse else common
         w[W * k.H_SHARED_VAR + c] = common_var - gain * common_var if fuse else common_var
         y[W * k.Y_FUSE + c] = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
+        y[W * k.Y_SHOWN + c], y[W * k.Y_SHOWN_VAR + c] = shown if fuse else real(p, math.nan), alpha
         told |= 1 if fuse else 0
     if told:
         for c in range(lanes):
@@ -92,6 +94,6 @@ def weigh(p: Any, y: Any, m: Any, c: int, by_soc: Any) -> None:
     W = m.lanes
     error = y[W * (k.Y_DYN + k.D_ERROR) + c]
     model = y[W * k.Y_NOISE + c]
-    for j in range(m.n_v):
+    for j in range(m.n_pol):
         model += error * error * p[k.P_VAR_V + j]
     y[W * k.Y_TRUST + c] = by_soc / (by_soc + model)

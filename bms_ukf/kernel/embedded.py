@@ -2,7 +2,7 @@
 
 They are what `estimator.Estimator` is to Python, with the same policy for time and for what is shown, and the same
 `step.step` below. The buffer holds `words` of the latest sample, the cells' records one after the other (lanes = 1),
-and the rows of `io`; it is plain data, which may be copied, stored and put back.
+the rows of `io` and the components of each cell's belief; it is plain data, which may be copied, stored and put back.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 from numba import types
 
 from bms_ukf.kernel import layout as k
+from bms_ukf.kernel import parts
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import Form, form_at_compile_time
-from bms_ukf.kernel.memory import real, vector, whole, words
+from bms_ukf.kernel.memory import beyond, real, vector, whole, words
 from bms_ukf.kernel.step import DEGRADED, FAULT_MASK, INITIALISING, INVALID, OK, STATUS_SHIFT
 from bms_ukf.records import Fault
 
@@ -35,13 +36,13 @@ MS_PER_S = 1000
 
 def size(form: Form, cells: int) -> int:
     """Numbers in the caller's buffer."""
-    return HEADER + cells * (form.size + k.IO_ROWS)
+    return HEADER + cells * (form.size + k.IO_ROWS + form.parts)
 
 
 @inline
 def forget(s: Any, m: Any, cells: int) -> None:
     """Make the buffer that of an estimator which has seen nothing."""
-    for place in range(HEADER, HEADER + cells * (m.size + k.IO_ROWS)):
+    for place in range(HEADER, HEADER + cells * (m.size + k.IO_ROWS + m.parts)):
         s[place] = real(s, math.nan)
     held = words(s)
     held[B_TIME] = 0
@@ -53,8 +54,7 @@ def forget(s: Any, m: Any, cells: int) -> None:
 def sample(
     p: Any,
     s: Any,
-    w: Any,
-    y: Any,
+    work: Any,
     time: int,
     current: Any,
     voltage: Any,
@@ -89,7 +89,8 @@ def sample(
         s[io + cells * k.IN_TEMPERATURE + cell] = temperature[cell]
         s[io + cells * k.IN_OFFSET + cell] = shown
         dt = real(s, elapsed) / real(s, MS_PER_S)
-        codes |= policy.step(p, s, HEADER + cell * m.size, w, y, s, io + cell, cells, m, 1, dt, flows)
+        at = io + cells * k.IO_ROWS + cell * m.parts
+        codes |= policy.step(p, s, HEADER + cell * m.size, at, work, s, io + cell, cells, m, 1, dt, flows)
     code = policy.together(codes)
     if not code & NUMERIC or cells > 1:  # a refused step has not passed: the next one covers its time
         held[B_TIME] = time
@@ -121,25 +122,32 @@ class CFunction(NamedTuple):
 
 def c_functions(form: Form, bits: int) -> dict[str, CFunction]:
     """`init(buffer, cells)`, `step(params, buffer, time, .., cells)` and `get(buffer, row, cell, cells)`."""
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
     copied, values = form.cache, k.VALUES
+    part_copied, part_values, part_sums = parts.room(form)
+    second = part_sums // 2
+    part_sums = max(part_sums, second + part_copied + part_values)
     number = types.float64 if bits == 64 else types.float32
     pointer: Any = types.CPointer
     numbers = pointer(number)
     word = types.int32
 
     def init(s: Any, cells: int) -> None:
-        forget(s, form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated), cells)
+        forget(s, form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes), cells)
 
     def step(
         p: Any, s: Any, time: int, current: Any, voltage: Any, temperature: Any, contactor_open: int, cells: int
     ) -> int:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         w, y = vector(s, copied), vector(s, values)
-        return sample(p, s, w, y, time, current, voltage, temperature, contactor_open, m, cells)
+        sums = vector(s, part_sums)
+        work = policy.Work(w, y, beyond(sums, second), beyond(sums, second + part_copied), sums)
+        return sample(p, s, work, time, current, voltage, temperature, contactor_open, m, cells)
 
     def get(s: Any, row: int, cell: int, cells: int) -> Any:
-        return result(s, cell, row, form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated), cells)
+        return result(
+            s, cell, row, form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes), cells
+        )
 
     return {
         "init": CFunction(init, types.void, (numbers, word)),

@@ -10,7 +10,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from bms_ukf.kernel import ecm, layout, shared
+from bms_ukf.kernel import ecm, layout, parts, shared
 from bms_ukf.kernel import limits as reach
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.jit import entry
@@ -25,22 +25,26 @@ def tick(form: Form, bits: int) -> Callable[[int, int, int, int, float, float], 
     `io` has `layout.IO_ROWS` rows of `cells` numbers. Returns the faults of all cells together (`records.Fault`) and,
     from bit STATUS_SHIFT up, a `records.Status`: INITIALISING if any cell's is, OK or INVALID if every cell's is.
     """
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
     copied, values = lanes * form.cache, lanes * layout.VALUES
+    part_copied, part_values, part_sums = parts.room(form)
 
     def tick(params: int, state: int, io: int, cells: int, dt: float, current: float) -> int:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p = pointer(params, bits)
         s = pointer(state, bits)
         rows = pointer(io, bits)
-        w = vector(s, copied)
-        y = vector(s, values)
+        w, y = vector(s, copied), vector(s, values)
+        b, v, sums = vector(s, part_copied), vector(s, part_values), vector(s, part_sums)
+        work = policy.Work(w, y, b, v, sums)
         span, i = real(s, dt), real(s, current)
         codes = 0
-        for block in range((cells + lanes - 1) // lanes):
+        blocks = (cells + lanes - 1) // lanes
+        for block in range(blocks):
             first = block * lanes
             count = 1 if lanes == 1 else min(lanes, cells - first)
-            codes |= policy.step(p, s, first * m.size, w, y, rows, first, cells, m, count, span, i)
+            at = blocks * lanes * m.size + first * m.parts
+            codes |= policy.step(p, s, first * m.size, at, work, rows, first, cells, m, count, span, i)
         return policy.together(codes)
 
     return entry(tick, "int64(int64, int64, int64, int64, float64, float64)")
@@ -53,21 +57,23 @@ def replay(form: Form, bits: int) -> Callable[[int, int, int, int, int, int], in
     `io` has `steps` rows of `layout.IO_ROWS` numbers, `dt` and `current` are arrays of `steps`; the code has the faults
     of all ticks together and, from STATUS_SHIFT up, a status as that of `tick`.
     """
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
     copied, values, row = form.cache, layout.VALUES, layout.IO_ROWS
+    part_copied, part_values, part_sums = parts.room(form)
 
     def replay(params: int, state: int, io: int, steps: int, dt: int, current: int) -> int:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p = pointer(params, bits)
         s = pointer(state, bits)
         rows = pointer(io, bits)
-        w = vector(s, copied)
-        y = vector(s, values)
+        w, y = vector(s, copied), vector(s, values)
+        b, v, sums = vector(s, part_copied), vector(s, part_values), vector(s, part_sums)
+        work = policy.Work(w, y, b, v, sums)
         spans = pointer(dt, bits)
         currents = pointer(current, bits)
         codes = 0
         for k in range(steps):
-            codes |= policy.step(p, s, 0, w, y, rows, k * row, 1, m, 1, spans[k], currents[k])
+            codes |= policy.step(p, s, 0, m.size, work, rows, k * row, 1, m, 1, spans[k], currents[k])
         return policy.together(codes)
 
     return entry(replay, "int64(int64, int64, int64, int64, int64, int64)")
@@ -76,12 +82,12 @@ def replay(form: Form, bits: int) -> Callable[[int, int, int, int, int, int], in
 @functools.cache
 def exchange(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
     """exchange(params, state, string_of, string, cells): `shared.exchange`; `string_of` has `cells` numbers."""
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
     copied, values = form.cache, layout.VALUES
 
     def exchange(params: int, state: int, string_of: int, string: int, cells: int) -> None:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
-        alone = form_at_compile_time(n_rc, hysteresis, bias, core, 1, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
+        alone = form_at_compile_time(n_rc, hysteresis, bias, core, 1, compensated, part_lanes)
         p, s, strings = pointer(params, bits), pointer(state, bits), pointer(string_of, bits)
         w, y = vector(s, copied), vector(s, values)
         shared.exchange(p, s, w, y, strings, string, cells, m, alone)
@@ -92,10 +98,10 @@ def exchange(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]
 @functools.cache
 def limits(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
     """limits(params, state, out, conditions, cells): `limits.limits`; LIMIT_ROWS rows of `cells` numbers in `out`."""
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
 
     def limits(params: int, state: int, out: int, conditions: int, cells: int) -> None:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p, s, a = pointer(params, bits), pointer(state, bits), pointer(conditions, bits)
         reach.limits(p, s, pointer(out, bits), a, cells, m)
 
@@ -105,10 +111,10 @@ def limits(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
 @functools.cache
 def energy(form: Form, bits: int) -> Callable[[int, int, int, int, int], None]:
     """energy(params, state, out, conditions, cells): `limits.energy`, into the row L_MEAN_V of `out`."""
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
 
     def energy(params: int, state: int, out: int, conditions: int, cells: int) -> None:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p, s, a = pointer(params, bits), pointer(state, bits), pointer(conditions, bits)
         reach.energy(p, s, pointer(out, bits), a, cells, m)
 
@@ -127,21 +133,21 @@ class ThreeSteps(NamedTuple):
 
 @functools.cache
 def three_steps(form: Form, bits: int) -> ThreeSteps:
-    n_rc, hysteresis, bias, core, lanes, compensated = form.variant
+    n_rc, hysteresis, bias, core, lanes, compensated, part_lanes = form.variant
     copied = form.cache
 
     def predict(params: int, state: int, work: int, dt: float, current: float, temperature: float) -> int:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
         return policy.predict(p, s, vector(s, copied), y, m, real(s, dt), real(s, current), real(s, temperature))
 
     def innovate(params: int, state: int, work: int, voltage: float) -> int:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
         return policy.innovate(p, s, vector(s, copied), y, m, real(s, voltage))
 
     def update(params: int, state: int, work: int) -> int:
-        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated)
+        m = form_at_compile_time(n_rc, hysteresis, bias, core, lanes, compensated, part_lanes)
         p, s, y = pointer(params, bits), pointer(state, bits), pointer(work, bits)
         return policy.update(p, s, vector(s, copied), y, m)
 

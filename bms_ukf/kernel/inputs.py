@@ -18,6 +18,7 @@ CURRENT_IMPLAUSIBLE = float(Fault.CURRENT_IMPLAUSIBLE)
 VOLTAGE_IMPLAUSIBLE = float(Fault.VOLTAGE_IMPLAUSIBLE)
 TEMPERATURE_IMPLAUSIBLE = float(Fault.TEMPERATURE_IMPLAUSIBLE)
 
+REPEATS_S = 60.0
 UNKNOWN_TEMPERATURE = 25.0  # where tables are read for a cell that has no belief yet
 
 
@@ -56,6 +57,13 @@ def take(p: Any, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: 
         w[W * k.H_HEARD_AGE + c] = zero if plausible else heard
         w[W * k.H_VOLTAGE_AGE + c] += dt
         y[W * k.Y_VOLTAGE + c] = measured if plausible else nan
+        last, repeats = w[W * k.H_LAST_V + c], w[W * k.H_REPEATS + c]
+        repeats = repeats if is_number(repeats) else zero
+        same = real(p, 1) if measured == last else zero
+        since = heard if is_number(heard) else zero  # not dt: of one instant the current may have come before
+        repeats += (same - repeats) * (since / (since + real(p, REPEATS_S))) if plausible else zero
+        w[W * k.H_REPEATS + c] = repeats
+        w[W * k.H_LAST_V + c] = measured if plausible else last
         code += real(p, VOLTAGE_IMPLAUSIBLE) if (not plausible) & is_number(measured) else zero
         y[W * k.Y_CODE + c] = code
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.ecm import clamp, decay
+from bms_ukf.kernel.ecm import clamp, decay, is_number
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real
 
@@ -64,6 +64,14 @@ def describe(w: Any, y: Any, m: Any, lanes: int) -> None:
     if wide:
         for c in range(lanes):
             truncate_twice(w, y, m, c)
+    for c in range(lanes):
+        low, mean, high = y[W * k.Y_PARTS_LOW + c], y[W * k.Y_PARTS_MEAN + c], y[W * k.Y_PARTS_HIGH + c]
+        apart = is_number(low)
+        sigma = (high - low) * real(w, 1 / (2 * HALF_WIDTHS))
+        y[W * k.Y_SOC + c] = mean if apart else y[W * k.Y_SOC + c]
+        y[W * k.Y_SOC_SIGMA + c] = sigma if apart else y[W * k.Y_SOC_SIGMA + c]
+        y[W * k.Y_SOC_LOW + c] = low if apart else y[W * k.Y_SOC_LOW + c]
+        y[W * k.Y_SOC_HIGH + c] = high if apart else y[W * k.Y_SOC_HIGH + c]
 
 
 @inline

@@ -17,14 +17,17 @@ from typing import NamedTuple
 from bms_ukf.kernel.jit import inline
 
 LANES = 16  # cells in a block of a pack. A float64 vector register holds 2 to 8: more lanes hide latency
+PARTS = 24  # components of a belief of any shape
+PART_LANES = 8  # handled in one loop, where a vector register holds several
 
-# The largest filter: SoC, three RC voltages, hysteresis, bias. These size the vectors on the stack.
-N_MAX = 6
+# The largest filter: SoC, three RC voltages, hysteresis, slow voltage error, r0 error, bias. These size the vectors on
+# the stack.
+N_MAX = 8
 DENSE_MAX = N_MAX * N_MAX
 N_RC_MAX = 3
 
 SOC = 0  # SoC comes first: only the two sigma points along the first column of sqrt_P move it
-V_RC1 = 1  # the voltages follow: v_rc1.., then hysteresis; the bias of the current sensor, if any, is last
+V_RC1 = 1  # the voltages follow: v_rc1.., hysteresis, the slow voltage error; then the r0 error; last the bias, if any
 
 
 class Form(NamedTuple):
@@ -36,31 +39,59 @@ class Form(NamedTuple):
     core: int  # 1: the core is warmer than the surface
     lanes: int
     compensated: int  # 1: x carries what rounding takes from it
+    part_lanes: int  # components of a belief of any shape that one loop handles (`parts`); 0: it has no such belief
     n: int  # filter states
-    n_v: int  # of which voltages
+    n_pol: int  # of which polarisation voltages: RC pairs and hysteresis
+    n_v: int  # and all voltages: one more, the slow voltage error
+    r0: int  # index of the relative error of r0
     channels: int  # of the dynamics table
     x: int  # slots of a record
     root: int
     carry: int
     cache: int
     size: int
+    parts: int  # numbers that the components of one cell take, beside its record
 
     @property
-    def variant(self) -> tuple[int, int, int, int, int, int]:
-        """What `form` makes it from."""
-        return self[:6]
+    def variant(self) -> tuple[int, int, int, int, int, int, int]:
+        """The arguments of `form`."""
+        return self[:7]
 
 
-def form(n_rc: int, hysteresis: int, bias: int, core: int, lanes: int, compensated: int) -> Form:
-    n_v = n_rc + hysteresis
-    n = 1 + n_v + bias
+def form(n_rc: int, hysteresis: int, bias: int, core: int, lanes: int, compensated: int, part_lanes: int = 0) -> Form:
+    n_pol = n_rc + hysteresis
+    n_v = n_pol + 1
+    r0 = 1 + n_v
+    n = 1 + r0 + bias
     x = HELD
     root = x + n
     carry = root + n * (n + 1) // 2
     cache = carry + n * compensated
     channels = D_RC1 + 2 * n_rc + hysteresis
     size = cache + C_VALUES + 2 * channels
-    return Form(n_rc, hysteresis, bias, core, lanes, compensated, n, n_v, channels, x, root, carry, cache, size)
+    # One component at a time keeps no table row, only where it was read: a small machine has less memory than time.
+    component = (cache + C_VALUES if part_lanes == 1 else size) - HELD
+    parts = PARTS * (1 + component) if part_lanes else 0
+    return Form(
+        n_rc,
+        hysteresis,
+        bias,
+        core,
+        lanes,
+        compensated,
+        part_lanes,
+        n,
+        n_pol,
+        n_v,
+        r0,
+        channels,
+        x,
+        root,
+        carry,
+        cache,
+        size,
+        parts,
+    )
 
 
 form_at_compile_time = inline(form)  # a compiled function's closure may hold integers only, so it makes its form anew
@@ -87,12 +118,12 @@ P_GAMMA = 10  # sigma points lie at +- gamma * (columns of sqrt_P)
 P_W = 11  # weight of each sigma point but the central one
 P_E2 = 12  # beta + alpha^2 (n + kappa - 1)
 P_VAR_VOLTAGE = 13  # fast voltage error, sensor and model, V^2, of one reading a VOLTAGE_ERROR_S
-P_R0_REL = 14  # relative error of r0
+P_FAST_REL = 14  # fast voltage error after a change of the current, as a share of the ohmic drop of that change
 P_RC_REL = 15  # relative error of r1..
 P_VAR_V = 16  # N_RC_MAX + 1 slots: stationary variance of the model error each voltage state carries, V^2
 P_CURRENT_OFFSET = 20  # one sigma of the current sensor's offset, A; 0 where a bias state carries it
 P_SOC_WALK_OFFSET = 21  # growth of SoC variance from an unknown current offset, 1/s
-P_SOC_WALK_GAIN = 22  # the same from an unknown current gain and capacity, 1/(s A^2)
+P_SOC_WALK_GAIN = 22  # the same per charge moved, from an unknown current gain and capacity, 1/(A s)
 P_BIAS_SIGMA = 23  # stationary sigma of the bias state, A
 P_BIAS_TAU = 24  # and its correlation time, s
 P_HYSTERESIS_RATE = 25  # of the hysteresis voltage's way to its target per charge moved, 1/(A s)
@@ -119,14 +150,15 @@ P_EXCITED = 45  # a current that moves by more shows what r0 is, A
 P_OCV = 46  # the two table descriptors, see the T_* offsets
 P_DYN = 52
 P_ALIKE = 58  # correlation of the cells' errors where they tell their current's offset
-P_VOLTAGE_OFFSET = 59  # one sigma of what the voltage sensor shows too much for long: offset and gain, V
-P_CURRENT_GAIN = 60  # one sigma of the current sensor's relative error, 1
-P_TEMPERATURE = 61  # one sigma of the temperature, K
-P_SKEW = 62  # one sigma of the time between current and voltage, s
-P_CURRENT_RESOLUTION = 63  # step of the current signal, A; 0: none
-P_CAPACITY_DOUBT = 64  # one sigma of the relative error of the cell file's capacity, 1
-P_INVALID_HALF_WIDTH = 65  # half of the interval up to which a cell has a SoC at all
-PARAMS_HEADER = 66
+P_SLOW_VAR = 59  # stationary variance of the slow voltage error, V^2
+P_SLOW_TAU = 60  # and its correlation time, s
+P_SLOW_RATE = 61  # the same per charge moved, 1/(A s): at another SoC the OCV errs otherwise
+P_R0_VAR = 62  # stationary variance of the relative error of the resistances
+P_R0_TAU = 63  # and its correlation time, s
+P_R0_RATE = 64  # the same per charge moved, 1/(A s)
+P_HISTORY = 65  # one sigma of the mean current before a first sample under load, A
+P_INVALID_HALF_WIDTH = 66  # half of the interval up to which a cell has a SoC at all
+PARAMS_HEADER = 67
 
 # A table descriptor: rows over temperature, knots over SoC, both uniform.
 T_OFFSET = 0  # where its numbers start in `params`
@@ -159,25 +191,28 @@ H_CORE_RISE = 8  # core above surface temperature, K
 H_SOC_WALK = 9  # growth of SoC's variance that a float32 root cannot show yet
 H_FRESH = 10  # 1: no voltage has been fused yet into this belief
 H_VOLTAGE_SCALE = 11  # variance of the fast voltage error, as a multiple of what the cell file says (`adapt`)
-H_R0_SCALE = 12  # r0, as a multiple of the cell file's
-H_R0_VAR = 13  # and the variance of that
-H_RESIDUAL = 14  # what the last voltage fused left of its innovation, V; NaN: there was none
-H_STILL_A = 15  # the current that has not moved since
-H_STILL_S = 16  # so many s
-H_REST_A = 17  # what the current sensor showed at the last rest, A; NaN: there was none
-H_LOADED = 18  # 1: a load was seen since
-H_OHMIC = 19  # ohmic drop by the cell file's r0, the mean of the last whole block (`adapt`), V
-H_DRIFT = 20  # how far the error of the prediction has moved from its mean there, V
-H_BLOCK_DRIFT = 21  # of the present block: sums over its voltages, their number, and its length in s
-H_BLOCK_OHMIC = 22
-H_BLOCK_COUNT = 23
-H_BLOCK_S = 24
-H_PER_CAPACITY = 25  # the cell file's capacity over the cell's own; NaN: 1
-H_RESISTANCE = 26  # the cell's resistances over the cell file's; NaN: 1
-H_SHARED = 27  # what all cells of a string know of their current's offset: its mean, A (`shared`)
-H_SHARED_VAR = 28  # and its variance, A^2
-H_THROUGH = 29  # the current of the cell: its string's and what balancing takes, A; in y it kept loops from vectors
-HELD = 30
+H_STILL_A = 12  # the current that has not moved since
+H_STILL_S = 13  # so many s
+H_REST_A = 14  # what the current sensor showed at the last rest, A; NaN: there was none
+H_LOADED = 15  # 1: a load was seen since
+H_PER_CAPACITY = 16  # the cell file's capacity over the cell's own; NaN: 1
+H_RESISTANCE = 17  # the cell's resistances over the cell file's; NaN: 1
+H_SHARED = 18  # what all cells of a string know of their current's offset: its mean, A (`shared`)
+H_SHARED_VAR = 19  # and its variance, A^2
+H_THROUGH = 20  # the current of the cell: its string's and what balancing takes, A; in y it kept loops from vectors
+H_RECENT = 21  # low-pass of the ohmic drop by the cell file's r0, over RECENT_S, without the last sample, V
+H_UNSEEN_S = 22  # s of unknown current since a voltage was last fused
+H_PARTS = 23  # 1: the belief is that of the components (`parts`); x and sqrt_P are its mean and covariance
+H_PART_WIDTH = 24  # SoC between the components' centres when they were last placed, of each history
+H_PART_GROUPS = 26  # histories that are kept apart: 2 or 1
+H_PART_S = 27  # s since the components took over
+H_PART_WALK = 28  # as H_SOC_WALK, of the components
+H_LAST_V = 29  # the last plausible voltage, V
+H_REPEATS = 30  # share of the voltages that repeat the one before, over REPEATS_S; NaN: 0
+H_POLARISED = 31  # N_RC_MAX slots: voltage of each RC pair by the current alone, V, whatever was measured
+H_USED = 34  # H_RECENT and the lead (`ohmic`) of the last sample that moved time on, V; others of its instant use them
+H_LEAD = 35
+HELD = 36
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached
@@ -218,17 +253,26 @@ Y_COSH = 33  # on the way there
 Y_SOC_SIGMA = 34  # published, as Y_SOC is (`interval`)
 Y_SOC_LOW = 35
 Y_SOC_HIGH = 36
-Y_B = 37  # N_MAX slots: sqrt_P^-1 Pxz, V
+Y_WALK = 37  # growth of SoC's variance in this step
+Y_RESOLVED = 38  # and what of that the root of this step can show
+Y_LEAD = 39  # voltage that an r0 of twice the size would take, V, as far as it has stood for RECENT_S
+Y_PARTS_LOW = 40  # 2.5 % quantile, mean and 97.5 % quantile of SoC by the components; NaN: there are none
+Y_PARTS_MEAN = 41
+Y_PARTS_HIGH = 42
+Y_SHOWN = 43  # A, what a rest shows of the current sensor's offset in this sample, NaN: nothing; and its variance
+Y_SHOWN_VAR = 44
+Y_B = 45  # N_MAX slots: sqrt_P^-1 Pxz, V
 Y_DYN = Y_B + N_MAX  # CHANNELS_MAX slots
-Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, then of the core: 1 - exp(-time / tau)
-Y_FADE = Y_FALL + N_RC_MAX + 2  # the same over the gap
-VALUES = Y_FADE + N_RC_MAX + 1
+Y_FALL = Y_DYN + CHANNELS_MAX  # of each voltage, slow error included, then of the core: 1 - exp(-time / tau)
+Y_FADE = Y_FALL + N_RC_MAX + 4  # the same over the gap
+VALUES = Y_FADE + N_RC_MAX + 3
 
 # What `voltage.compare` decides.
 DOUBT = -1  # refused for so long that it is the belief that is wrong
 IGNORE = 0
 BY_SIGMA_POINTS = 1
 BY_QUADRATURE = 2
+BY_PARTS = 3
 
 # Rows of `io`.
 IN_VOLTAGE = 0  # V; NaN: not measured
@@ -249,26 +293,3 @@ OUT_CODE = 14  # faults and status of the cell, as the tick returns those of all
 OUT_SOC_LOW = 15  # 2.5 % and 97.5 % quantile of SoC, 0..1
 OUT_SOC_HIGH = 16
 IO_ROWS = 17
-
-# Conditions for `limits`.
-A_VOLTAGE_MIN = 0  # V
-A_VOLTAGE_MAX = 1
-A_CURRENT_MIN = 2  # A, negative: charge
-A_CURRENT_MAX = 3
-A_DISCHARGE_RATE = 4  # A, at which a cell is to be emptied
-A_CHARGE_RATE = 5  # A, negative, and filled
-A_SECONDS = 6  # length of a pulse
-A_MOVED = 7  # charge whose energy is asked for, A s, negative: to be charged
-A_DRAIN = 8  # and the current it flows at, A
-CONDITIONS = 9
-
-# Rows of what `limits` gives.
-L_EMPTY = 0  # SoC at which the cell is empty at that rate, 0..1
-L_FULL = 1
-L_DISCHARGE = 2  # A, of a pulse; then the same of a charge, <= 0
-L_SIGMA = 1  # offsets from these: one sigma, A
-L_VOLTAGE = 2  # terminal voltage at its end, V
-L_OHM = 3  # and how fast that falls with the current, ohm
-L_CHARGE = 6
-L_MEAN_V = 10  # V
-LIMIT_ROWS = 11

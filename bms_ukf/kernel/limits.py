@@ -16,11 +16,11 @@ import math
 from typing import Any
 
 from bms_ukf.kernel import layout as k
+from bms_ukf.kernel import limit_rows as lr
 from bms_ukf.kernel.ecm import asinh, clamp, dynamics, fall, is_number, ocv
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import N_MAX, tri
 from bms_ukf.kernel.memory import real, vector
-from bms_ukf.kernel.ohmic import beyond_shape
 
 KNOTS = 40  # steps of SoC in which an end is looked for, from the end of the table inwards
 REFINEMENTS = 3  # of the step that holds it, by the false position
@@ -43,8 +43,7 @@ def temperature(s: Any, o: int, m: Any) -> Any:
 def ohmic(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, i: Any) -> Any:
     """Ohmic drop at `i`, V, by the r0 that is tracked."""
     W = m.lanes
-    resistance, tracked = s[o + W * k.H_RESISTANCE], s[o + W * k.H_R0_SCALE]
-    tracked = beyond_shape(p, tracked if is_number(tracked) else real(p, 1))
+    resistance, tracked = s[o + W * k.H_RESISTANCE], real(p, 1) + s[o + W * (m.x + m.r0)]
     r0 = dynamics(p, soc, T, k.D_R0 if i >= real(p, 0) else k.D_R0_CHARGE, m.channels)
     knee = dynamics(p, soc, T, k.D_KNEE, m.channels)
     return tracked * r0 * knee * asinh(p, resistance * i / knee)
@@ -89,7 +88,7 @@ def end(p: Any, s: Any, o: int, m: Any, T: Any, i: Any, limit: Any) -> Any:
 # What a pulse from now on is reckoned with.
 Z_SOC = 0
 Z_FALL = 1  # of SoC, per ampere
-Z_V = 2  # of RC voltages and hysteresis that is left at its end, V
+Z_V = 2  # of RC voltages, hysteresis and slow error that is left at its end, V
 Z_OHM = 3  # that the RC pairs make of its current
 Z_DROP = 4  # tracked r0 times knee, V, on discharge; then on charge
 Z_KNEE = 6  # A
@@ -104,14 +103,14 @@ def prepare(p: Any, s: Any, o: int, m: Any, T: Any, seconds: Any, z: Any) -> Non
     W = m.lanes
     zero = real(p, 0)
     soc, resistance, per_capacity = s[o + W * m.x], s[o + W * k.H_RESISTANCE], s[o + W * k.H_PER_CAPACITY]
-    tracked = s[o + W * k.H_R0_SCALE]
-    tracked = beyond_shape(p, tracked if is_number(tracked) else real(p, 1))
+    tracked = real(p, 1) + s[o + W * (m.x + m.r0)]
     knee = dynamics(p, soc, T, k.D_KNEE, m.channels)
     z[Z_SOC], z[Z_FALL] = soc, seconds / p[k.P_CHARGE_COULOMB] * per_capacity
     z[Z_DROP] = tracked * knee * dynamics(p, soc, T, k.D_R0, m.channels)
     z[Z_DROP + 1] = tracked * knee * dynamics(p, soc, T, k.D_R0_CHARGE, m.channels)
     z[Z_KNEE] = knee / resistance
-    z[Z_V] = z[Z_OHM] = z[Z_LARGEST] = z[Z_TURN] = zero
+    z[Z_OHM] = z[Z_LARGEST] = z[Z_TURN] = zero
+    z[Z_V] = s[o + W * (m.x + m.n_v)]
     for j in range(m.n_rc):
         risen = fall(p, seconds / dynamics(p, soc, T, k.D_RC1 + 2 * j + 1, m.channels))
         z[Z_V] += (real(p, 1) - risen) * s[o + W * (m.x + k.V_RC1 + j)]
@@ -170,17 +169,18 @@ def doubt(p: Any, s: Any, o: int, m: Any, T: Any, seconds: Any, z: Any, i: Any) 
     step = real(p, OCV_STEP)
     slope = (ocv(p, soc + step, T) - ocv(p, soc - step, T)) / (step + step)
     error = dynamics(p, soc, T, k.D_ERROR, m.channels)
-    ohmic_V = p[k.P_R0_REL] * error * drop(p, z, i)
-    variance = error * error * p[k.P_VAR_VOLTAGE] + ohmic_V * ohmic_V
+    ohmic_V = drop(p, z, i)
+    variance = error * error * p[k.P_VAR_VOLTAGE]
     stays = vector(s, N_MAX)
     for j in range(m.n_v):
         stays[j] = real(p, 1)
     for j in range(m.n_rc):
         stays[j] -= fall(p, seconds / dynamics(p, soc, T, k.D_RC1 + 2 * j + 1, m.channels))
-    for column in range(1 + m.n_v):
+    for column in range(m.r0 + 1):
         b = slope * s[o + W * m.root] if column == 0 else real(p, 0)
         for j in range(max(k.V_RC1, column), k.V_RC1 + m.n_v):
             b -= stays[j - k.V_RC1] * s[o + W * (m.root + tri(j, column))]
+        b -= ohmic_V * s[o + W * (m.root + tri(m.r0, column))]
         variance += b * b
     return math.sqrt(variance)
 
@@ -195,23 +195,23 @@ def limits(p: Any, s: Any, out: Any, a: Any, cells: int, m: Any) -> None:
         T = temperature(s, o, m)
         known = s[o + W * m.x] + T + s[o + W * k.H_VOLTAGE_AGE]
         if known - known == real(p, 0):
-            seconds = a[k.A_SECONDS]
+            seconds = a[lr.A_SECONDS]
             prepare(p, s, o, m, T, seconds, z)
-            out[cells * k.L_EMPTY + c] = end(p, s, o, m, T, a[k.A_DISCHARGE_RATE], a[k.A_VOLTAGE_MIN])
-            out[cells * k.L_FULL + c] = end(p, s, o, m, T, a[k.A_CHARGE_RATE], a[k.A_VOLTAGE_MAX])
-            for row in (k.L_DISCHARGE, k.L_CHARGE):
-                gives = row == k.L_DISCHARGE
-                most = a[k.A_CURRENT_MAX] if gives else a[k.A_CURRENT_MIN]
-                i = pulse(p, s, o, m, T, z, most, a[k.A_VOLTAGE_MIN] if gives else a[k.A_VOLTAGE_MAX])
+            out[cells * lr.L_EMPTY + c] = end(p, s, o, m, T, a[lr.A_DISCHARGE_RATE], a[lr.A_VOLTAGE_MIN])
+            out[cells * lr.L_FULL + c] = end(p, s, o, m, T, a[lr.A_CHARGE_RATE], a[lr.A_VOLTAGE_MAX])
+            for row in (lr.L_DISCHARGE, lr.L_CHARGE):
+                gives = row == lr.L_DISCHARGE
+                most = a[lr.A_CURRENT_MAX] if gives else a[lr.A_CURRENT_MIN]
+                i = pulse(p, s, o, m, T, z, most, a[lr.A_VOLTAGE_MIN] if gives else a[lr.A_VOLTAGE_MAX])
                 away = most / real(p, 100)
                 v = after_pulse(p, s, o, m, T, z, i)
                 ohm = (after_pulse(p, s, o, m, T, z, i - away) - v) / away
                 out[cells * row + c] = i
-                out[cells * (row + k.L_SIGMA) + c] = doubt(p, s, o, m, T, seconds, z, i) / ohm
-                out[cells * (row + k.L_VOLTAGE) + c] = v
-                out[cells * (row + k.L_OHM) + c] = ohm
+                out[cells * (row + lr.L_SIGMA) + c] = doubt(p, s, o, m, T, seconds, z, i) / ohm
+                out[cells * (row + lr.L_VOLTAGE) + c] = v
+                out[cells * (row + lr.L_OHM) + c] = ohm
         else:
-            for row in range(k.LIMIT_ROWS):
+            for row in range(lr.LIMIT_ROWS):
                 out[cells * row + c] = real(p, math.nan)
 
 
@@ -222,11 +222,11 @@ def energy(p: Any, s: Any, out: Any, a: Any, cells: int, m: Any) -> None:
     for c in range(cells):
         o = c // W * W * m.size + c % W
         T, soc = temperature(s, o, m), s[o + W * m.x]
-        span = a[k.A_MOVED] / p[k.P_CHARGE_COULOMB] * s[o + W * k.H_PER_CAPACITY]
+        span = a[lr.A_MOVED] / p[k.P_CHARGE_COULOMB] * s[o + W * k.H_PER_CAPACITY]
         mean = real(p, 0)
         known = soc + T
         if known - known == real(p, 0):
             for point in range(len(GAUSS)):
                 at = soc - real(p, GAUSS[point]) * span
-                mean += real(p, GAUSS_WEIGHTS[point]) * settled(p, s, o, m, at, T, a[k.A_DRAIN])
-        out[cells * k.L_MEAN_V + c] = mean if known - known == real(p, 0) else real(p, math.nan)
+                mean += real(p, GAUSS_WEIGHTS[point]) * settled(p, s, o, m, at, T, a[lr.A_DRAIN])
+        out[cells * lr.L_MEAN_V + c] = mean if known - known == real(p, 0) else real(p, math.nan)

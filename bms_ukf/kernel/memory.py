@@ -44,6 +44,19 @@ if DISABLED:
     def words(pointer: Any) -> Any:
         return ctypes.cast(pointer, ctypes.POINTER(ctypes.c_int32))
 
+    class _Beyond:
+        def __init__(self, pointer: Any, count: int) -> None:
+            self._pointer, self._count = pointer, count
+
+        def __getitem__(self, place: int) -> Any:
+            return self._pointer[self._count + place]
+
+        def __setitem__(self, place: int, value: Any) -> None:
+            self._pointer[self._count + place] = value
+
+    def beyond(pointer: Any, count: int) -> Any:
+        return _Beyond(pointer, count)
+
 else:
     _TYPES = {32: (types.float32, ir.FloatType()), 64: (types.float64, ir.DoubleType())}
 
@@ -106,6 +119,15 @@ else:
             return builder.sext(number, ir.IntType(64))
 
         return types.int64(value), generate
+
+    @intrinsic
+    def beyond(typing_context: Any, pointer: Any, count: Any) -> Any:
+        """The same memory, from number `count` on."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.gep(arguments[0], [arguments[1]])
+
+        return pointer(pointer, count), generate
 
     @intrinsic
     def words(typing_context: Any, pointer: Any) -> Any:

@@ -2,6 +2,9 @@
 
     drop = r0 knee asinh(i / knee)
 
+The relative error of r0 is a state. The measurement depends on it by the drop that has stood for RECENT_S, not by that
+of this sample: the noise of a current sensor moves the prediction and not the cell, and would drive r0 to nothing.
+
 The logarithm is taken of a small argument: halvings of it bring the block's largest i / knee into the reach of a
 polynomial, so a block whose currents are far below the knee takes no square root at all.
 """
@@ -12,20 +15,25 @@ import math
 from typing import Any
 
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.ecm import ASINH_HALVINGS, ASINH_REACH, asinh_small, clamp, halve_asinh, is_number
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
+from bms_ukf.kernel.ecm import ASINH_HALVINGS, ASINH_REACH, asinh_small, halve_asinh
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real
 
-R0_SHAPE = 0.1  # share of r0 by which a good fit may have it wrong
+RECENT_S = 3.0  # how long a change of the current leaves a fast voltage error
+LEADS_S = 0.5  # a voltage whose current is older says nothing of r0: a frame of the current may be lost
+STALE = 3.0  # times P_EXCITED: one sigma of how far a current has moved since it became so old
+LASTS_S = 300.0  # how long an unknown current stays about the same
 
 
 @inline
-def drop(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
     """The ohmic drop, its slope over the current and its uncertainty; with no current known, what one could make it."""
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
     largest = p[k.P_CURRENT_RANGE]
-    relative = p[k.P_R0_REL]
+    lasting = math.sqrt(real(p, LASTS_S / VOLTAGE_ERROR_S))
+    passed, again = dt / (dt + real(p, RECENT_S)), dt <= zero
     large = 0
     for c in range(lanes):
         unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
@@ -42,17 +50,32 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     for c in range(lanes):
         unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
         r0, u = y[W * k.Y_R0 + c], y[W * k.Y_OHMIC + c]
-        scale = w[W * k.H_R0_SCALE + c]
-        scale = beyond_shape(p, scale if is_number(scale) else one)
         ohmic = r0 * y[W * (k.Y_DYN + k.D_KNEE) + c] * (times * asinh_small(p, u / y[W * k.Y_SCALE + c]))
-        r0 *= scale
-        tracked = ohmic * scale
+        error = w[W * (m.x + m.r0) + c]
+        r0 *= one + (error if error - error == zero else zero)
+        slope = r0 / math.sqrt(one + u * u)
+        recent = w[W * k.H_RECENT + c]
+        alive = y[W * k.Y_ALIVE + c] > zero  # before a belief the temperature may not be known yet
+        recent = recent if (recent - recent == zero) & alive else ohmic
+        lead = recent
+        for j in range(m.n_rc):
+            polarised = w[W * (k.H_POLARISED + j) + c]
+            lead += polarised if polarised - polarised == zero else zero
+        used, led = w[W * k.H_USED + c], w[W * k.H_LEAD + c]
+        used = used if again & alive & (used - used == zero) else recent
+        led = led if again & alive & (led - led == zero) else lead
+        w[W * k.H_USED + c], w[W * k.H_LEAD + c] = used, led
+        stale = w[W * k.H_CURRENT_AGE + c] > real(p, LEADS_S)
+        y[W * k.Y_LEAD + c] = zero if unknown | stale else led
         y[W * k.Y_R0 + c] = r0
-        y[W * k.Y_OHMIC + c] = real(p, math.nan) if unknown else ohmic
-        y[W * k.Y_DROP + c] = zero if unknown else tracked
-        y[W * k.Y_DROP_SIGMA + c] = tracked if unknown else relative * y[W * (k.Y_DYN + k.D_ERROR) + c] * tracked
+        y[W * k.Y_DROP + c] = zero if unknown else ohmic
+        # An unknown current is not a new one at every sample: its drop counts as one error that lasts LASTS_S.
+        fast, moved = p[k.P_FAST_REL] * (ohmic - used), slope * real(p, STALE) * p[k.P_EXCITED]
+        fast = math.sqrt(fast * fast + moved * moved) if stale else fast
+        y[W * k.Y_DROP_SIGMA + c] = lasting * ohmic if unknown else fast
         if m.bias:
-            y[W * k.Y_DROP_SLOPE + c] = r0 / math.sqrt(one + u * u)
+            y[W * k.Y_DROP_SLOPE + c] = slope
+        w[W * k.H_RECENT + c] = recent if unknown else recent + (ohmic - recent) * passed
 
 
 @inline
@@ -73,16 +96,3 @@ def logarithm(w: Any, y: Any, m: Any, lanes: int) -> Any:
                 y[W * k.Y_COSH + c], y[W * k.Y_SCALE + c] = cosh, scale
                 large |= 1 if abs(y[W * k.Y_OHMIC + c]) > real(w, ASINH_REACH) * scale else 0
     return times
-
-
-@inline
-def beyond_shape(p: Any, scale: Any) -> Any:
-    """The multiple of the cell file's r0 to use, with a dead band: nothing of the first R0_SHAPE that steps ask for.
-
-    A cell file that has the fast resistance a little wrong has made up for it in the first RC pair; to correct the one
-    alone would make the sum wrong. What is tracked goes on until what is used explains the steps, so an aged cell's r0
-    is found as it is.
-    """
-    margin = real(p, R0_SHAPE)
-    away = scale - real(p, 1)
-    return scale - clamp(away, -margin, margin)

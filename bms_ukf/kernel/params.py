@@ -12,6 +12,7 @@ from bms_ukf import pchip
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
 from bms_ukf.kernel.layout import Form, form
 from bms_ukf.tuning import Tuning
 
@@ -31,6 +32,21 @@ class Grid(NamedTuple):
 FULL = Grid()
 COMPACT = Grid(ocv_intervals=100, dyn_intervals=20, temperature_step_K=10.0)  # a third of the size, for firmware
 
+# Errors of an equivalent circuit that last: one sigma, and how far in time and in SoC they stay the same. Chosen over
+# the plants of the honesty campaign, not for one cell file (`bms-ukf campaign`).
+SLOW_SIGMA_V = 0.005  # diffusion, hysteresis and OCV
+SLOW_TAU_S, SLOW_SOC = 7200.0, 0.1
+R0_AGED_SIGMA = 0.2  # all resistances of an aged cell, relative
+R0_TAU_S, R0_SOC = 20_000.0, 0.6
+R0_PER_K = 0.03  # how fast a resistance changes with temperature, relative
+# Errors that pass within seconds.
+FAST_SIGMA_V = 0.0045  # as of one reading a second
+FAST_HYSTERESIS = 0.6  # of the largest hysteresis voltage: how far a one-state model of it is off
+FAST_REL = 0.3  # after a change of the current, as a share of the change of the ohmic drop
+
+MOVED = 0.5  # of the capacity: a walk of SoC from an unknown gain is here as wide as the error of that gain
+HISTORY = 0.5  # of the cell's current range: one sigma of the mean load before a first sample
+
 SOC_SIGMA_MIN = 1e-4  # no reading of an OCV curve is better
 SOC_SIGMA_MAX = 0.5  # of a quantity between 0 and 1: more says nothing
 ROUNDING_MAX_V = 1e-4  # a tenth of what a good voltage sensor resolves
@@ -38,10 +54,17 @@ NOMINAL_DEGC = 25.0  # the nominal voltage of a cell is its OCV at this temperat
 CACHE_TEMPERATURE_K = 0.01  # resistances change by some 3 % a kelvin: what is cached is right to 0.03 %
 
 
-def form_of(cell: CellParams, tuning: Tuning, lanes: int = 1, bits: int = 64) -> Form:
+def state_size(form: Form, cells: int) -> int:
+    """Numbers in the `state` buffer: the blocks of records, then the components of every cell."""
+    blocks = -(-cells // form.lanes)
+    return blocks * form.lanes * form.size + cells * form.parts
+
+
+def form_of(cell: CellParams, tuning: Tuning, lanes: int = 1, bits: int = 64, part_lanes: int = k.PART_LANES) -> Form:
     """The filter that the cell and the tuning ask for."""
     hysteresis, core = cell.hysteresis is not None, cell.thermal is not None
-    return form(cell.dynamics.n_rc, int(hysteresis), int(tuning.current_bias), int(core), lanes, int(bits == 32))
+    bias = int(tuning.current_bias)
+    return form(cell.dynamics.n_rc, int(hysteresis), bias, int(core), lanes, int(bits == 32), part_lanes)
 
 
 def params(cell: CellParams, tuning: Tuning, bits: int = 64, grid: Grid = FULL) -> NDArray[Any]:
@@ -59,9 +82,11 @@ def params(cell: CellParams, tuning: Tuning, bits: int = 64, grid: Grid = FULL) 
     return buffer
 
 
-def aligned(size: int, bits: int = 64) -> NDArray[Any]:
-    """A buffer of NaN that starts on a cache line."""
-    raw = np.full(size + 16, np.nan, dtype=np.float64 if bits == 64 else np.float32)
+def aligned(size: int, bits: int = 64, *, filled: bool = True) -> NDArray[Any]:
+    """Return a buffer of NaN that starts on a cache line; not `filled`, it takes no memory before it is used."""
+    raw = np.empty(size + 16, dtype=np.float64 if bits == 64 else np.float32)
+    if filled:
+        raw[:] = np.nan
     start: int = -raw.ctypes.data % 64 // raw.itemsize
     return raw[start : start + size]
 
@@ -77,13 +102,28 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
     p[k.P_TEMPERATURE_MIN], p[k.P_TEMPERATURE_MAX] = -60.0, 120.0
     p[k.P_TABLE_TEMPERATURE_MIN], p[k.P_TABLE_TEMPERATURE_MAX] = limits.temperature_limits_degC
     p[k.P_CURRENT_RANGE] = (discharge - charge) / 2
-    p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2
-    p[k.P_R0_REL], p[k.P_RC_REL] = noise.r0_rel_sigma, noise.rc_rel_sigma
+    p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2 + FAST_SIGMA_V**2
+    if cell.hysteresis:
+        p[k.P_VAR_VOLTAGE] += (FAST_HYSTERESIS * float(np.median(cell.hysteresis.max_V))) ** 2
+    p[k.P_RC_REL] = noise.rc_rel_sigma
+    _write_lasting_errors(p, cell, tuning)
+    p[k.P_HISTORY] = HISTORY * p[k.P_CURRENT_RANGE]
     for j, sigma in enumerate(voltage_sigmas(cell)):
         p[k.P_VAR_V + j] = sigma**2
     p[k.P_HYSTERESIS_RATE] = cell.hysteresis.rate / p[k.P_CHARGE_COULOMB] if cell.hysteresis else 0.0
     if cell.thermal:
         p[k.P_CORE_K_PER_W], p[k.P_CORE_TAU] = cell.thermal.core_K_per_W, cell.thermal.core_tau_s
+
+
+def _write_lasting_errors(p: Array, cell: CellParams, tuning: Tuning) -> None:
+    spec, noise = tuning.sensor_spec, cell.noise
+    offset_V = spec.voltage_offset_sigma_V(float(cell.ocv_V(0.5, NOMINAL_DEGC)))
+    p[k.P_SLOW_VAR], p[k.P_SLOW_TAU] = SLOW_SIGMA_V**2 + offset_V**2, SLOW_TAU_S
+    p[k.P_SLOW_RATE] = 1 / (SLOW_SOC * p[k.P_CHARGE_COULOMB])
+    warmer = R0_PER_K * spec.temperature_sigma_K
+    p[k.P_R0_VAR], p[k.P_R0_TAU] = noise.r0_rel_sigma**2 + R0_AGED_SIGMA**2 + warmer**2, R0_TAU_S
+    p[k.P_R0_RATE] = 1 / (R0_SOC * p[k.P_CHARGE_COULOMB])
+    p[k.P_FAST_REL] = math.hypot(FAST_REL, spec.skew_sigma_s / VOLTAGE_ERROR_S)
 
 
 def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None:
@@ -99,7 +139,7 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     p[k.P_ALIKE] = tuning.bias_error_correlation
     p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 400, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s
-    p[k.P_SOC_WALK_GAIN] = (tuning.charge_gain_sigma / charge) ** 2 * tuning.current_error_horizon_s
+    p[k.P_SOC_WALK_GAIN] = tuning.charge_gain_sigma**2 * MOVED / charge
     _write_weights(p, form_of(cell, tuning).n, tuning, cell.cell.voltage_limits_V[1], bits)
     p[k.P_GATE2], p[k.P_REJECT_S] = tuning.gate_sigmas**2, tuning.reject_s
     p[k.P_CURRENT_TIMEOUT] = tuning.current_timeout_s
@@ -115,10 +155,6 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     p[k.P_WIDE_SIGMA] = tuning.wide_soc_sigma
     unknown_load = tuning.initial_current_sigma_A
     p[k.P_INITIAL_CURRENT] = capacity_Ah / 20 if unknown_load is None else unknown_load
-    p[k.P_VOLTAGE_OFFSET] = spec.voltage_offset_sigma_V(float(cell.ocv_V(0.5, NOMINAL_DEGC)))
-    p[k.P_CURRENT_GAIN], p[k.P_TEMPERATURE] = spec.current_gain_sigma, spec.temperature_sigma_K
-    p[k.P_SKEW], p[k.P_CURRENT_RESOLUTION] = spec.skew_sigma_s, spec.current_resolution_A or 0.0
-    p[k.P_CAPACITY_DOUBT] = tuning.capacity_doubt
 
 
 def _write_weights(p: Array, n: int, tuning: Tuning, voltage_V: float, bits: int) -> None:
@@ -149,7 +185,7 @@ def voltage_sigmas(cell: CellParams) -> list[float]:
 def state_names(cell: CellParams) -> list[str]:
     """Of the filter's states but the bias."""
     names = ["soc", *(f"v_rc{j + 1}_V" for j in range(cell.dynamics.n_rc))]
-    return [*names, "v_hyst_V"] if cell.hysteresis else names
+    return [*names, *(["v_hyst_V"] if cell.hysteresis else []), "v_slow_V", "r0_error"]
 
 
 def _write_table(p: Array, descriptor: int, offset: int, table: Array, temperatures: Array, intervals: int) -> None:

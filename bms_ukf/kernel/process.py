@@ -79,26 +79,31 @@ def relax(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any, gaps: int) -> Non
     for c in range(lanes):
         in_taus(p, w, y, m, c, k.Y_FALL, y[W * k.Y_KNOWN + c], abs(w[W * k.H_THROUGH + c]))
         if m.core:
-            y[W * (k.Y_FALL + m.n_v) + c] = dt / p[k.P_CORE_TAU]
-    one_minus_exp(w, y, m, k.Y_FALL, m.n_v + m.core, lanes)
+            y[W * (k.Y_FALL + m.r0) + c] = dt / p[k.P_CORE_TAU]
+    one_minus_exp(w, y, m, k.Y_FALL, m.r0 + m.core, lanes)
     if gaps:
         for c in range(lanes):
             in_taus(p, w, y, m, c, k.Y_FADE, y[W * k.Y_GAP + c], p[k.P_CURRENT_RANGE])
-        one_minus_exp(w, y, m, k.Y_FADE, m.n_v, lanes)
+        one_minus_exp(w, y, m, k.Y_FADE, m.r0, lanes)
     else:
-        for place in range(W * m.n_v):
+        for place in range(W * m.r0):
             y[W * k.Y_FADE + place] = real(p, 0)
 
 
 @inline
 def in_taus(p: Any, w: Any, y: Any, m: Any, c: int, slot: int, time: Any, current: Any) -> None:
-    """A time in the time constants of each voltage, from `slot` on; that of hysteresis is one of charge, either way."""
+    """A time in the time constants of each voltage, from `slot` on; that of hysteresis is one of charge, either way.
+
+    Those of the slow error and of r0's are both."""
     W = m.lanes
     for j in range(m.n_rc):
         y[W * (slot + j) + c] = time / y[W * (k.Y_DYN + k.D_RC1 + 2 * j + 1) + c]
     if m.hysteresis:
         rate = p[k.P_HYSTERESIS_RATE] * w[W * k.H_PER_CAPACITY + c]
         y[W * (slot + m.n_rc) + c] = rate * current * time
+    moved = current * w[W * k.H_PER_CAPACITY + c]
+    y[W * (slot + m.n_pol) + c] = time * (p[k.P_SLOW_RATE] * moved + real(p, 1) / p[k.P_SLOW_TAU])
+    y[W * (slot + m.n_v) + c] = time * (p[k.P_R0_RATE] * moved + real(p, 1) / p[k.P_R0_TAU])
 
 
 @inline
@@ -132,11 +137,18 @@ def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         lost[k.SOC] = real(p, 0)
         g[k.SOC] = soc_per_ampere(p, w, y, m, c)
         gain[k.SOC] = -charge(p, w, y, m, c)
-        q[k.SOC] = math.sqrt(resolvable(w, m, c, soc_walk(p, w, y, m, c, dt))) + real(p, TINY_ROOT)
+        q[k.SOC] = math.sqrt(y[W * k.Y_RESOLVED + c]) + real(p, TINY_ROOT)
         for j in range(m.n_rc):
             relax_rc(p, w, y, m, c, j, lost, g, gain, q)
         if m.hysteresis:
             relax_hysteresis(p, w, y, m, c, lost, g, gain, q)
+        error = y[W * (k.Y_DYN + k.D_ERROR) + c]
+        for j in range(m.n_pol, m.r0):
+            rise, faded = y[W * (k.Y_FALL + j) + c], y[W * (k.Y_FADE + j) + c]
+            lost[1 + j] = rise + faded - rise * faded
+        g[m.n_v] = g[m.r0] = gain[m.n_v] = gain[m.r0] = real(p, 0)
+        q[m.n_v] = noise_root(p, lost[m.n_v], error * error * p[k.P_SLOW_VAR])
+        q[m.r0] = noise_root(p, lost[m.r0], p[k.P_R0_VAR])
         if m.bias:
             lost[m.n - 1] = bias_lost
             g[m.n - 1] = gain[m.n - 1] = real(p, 0)
@@ -160,35 +172,44 @@ def share(p: Any, w: Any, m: Any, c: int, lost: Any) -> None:
 
 
 @inline
-def soc_walk(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> Any:
-    """Growth of SoC's variance in this step; keeps the account of the gap."""
+def walk(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
+    """Growth of SoC's variance in this step, from what is not known of the charge that flowed; accounts for the gap.
+
+    An unknown gain or capacity is one number: over a charge moved one way its sigma grows with the charge. As a walk
+    its variance grows with the charge moved, either way: equal where MOVED of the capacity has gone.
+    """
     W = m.lanes
-    i = w[W * k.H_THROUGH + c]
-    gap = y[W * k.Y_GAP + c]
-    before = w[W * k.H_GAP_S + c]
-    after = before + gap
-    w[W * k.H_GAP_S + c] = real(p, 0) if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else after
-    # The current of a gap is one unknown number, not noise: its sigma grows with time, its variance with the square.
-    doubted = p[k.P_CURRENT_RANGE] / p[k.P_CHARGE_COULOMB]
-    unknown = doubted * doubted * gap * (after + before)
-    times = w[W * k.H_PER_CAPACITY + c]
-    return times * times * (dt * (p[k.P_SOC_WALK_OFFSET] + p[k.P_SOC_WALK_GAIN] * i * i) + unknown)
+    for c in range(lanes):
+        i = w[W * k.H_THROUGH + c]
+        gap = y[W * k.Y_GAP + c]
+        before = w[W * k.H_GAP_S + c]
+        after = before + gap
+        w[W * k.H_GAP_S + c] = real(p, 0) if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else after
+        w[W * k.H_UNSEEN_S + c] += gap
+        # The current of a gap is one unknown number, not noise: its sigma grows with time, its variance squared.
+        doubted = p[k.P_CURRENT_RANGE] / p[k.P_CHARGE_COULOMB]
+        unknown = doubted * doubted * gap * (after + before)
+        times = w[W * k.H_PER_CAPACITY + c]
+        moved = p[k.P_SOC_WALK_GAIN] * abs(i) * y[W * k.Y_KNOWN + c]
+        y[W * k.Y_WALK + c] = times * times * (dt * p[k.P_SOC_WALK_OFFSET] + moved + unknown)
 
 
 @inline
-def resolvable(w: Any, m: Any, c: int, variance: Any) -> Any:
-    """What of a growing variance of SoC its root can show; in float32 the rest waits until it has become enough.
+def resolve(w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Leave in Y_RESOLVED what of Y_WALK a root can show; in float32 the rest waits until it has become enough.
 
     sqrt(sigma^2 + q^2) is sigma itself where q^2 is below 6e-8 of sigma^2, as it is at every step of 100 Hz.
     """
-    if m.compensated:
-        W = m.lanes
-        sigma = w[W * m.root + c]
-        grown = w[W * k.H_SOC_WALK + c] + variance
-        enough = grown > real(w, RESOLVED) * sigma * sigma
-        w[W * k.H_SOC_WALK + c] = real(w, 0) if enough else grown
-        variance = grown if enough else real(w, 0)
-    return variance
+    W = m.lanes
+    for c in range(lanes):
+        grown = y[W * k.Y_WALK + c]
+        if m.compensated:
+            sigma = w[W * m.root + c]
+            grown += w[W * k.H_SOC_WALK + c]
+            enough = grown > real(w, RESOLVED) * sigma * sigma
+            w[W * k.H_SOC_WALK + c] = real(w, 0) if enough else grown
+            grown = grown if enough else real(w, 0)
+        y[W * k.Y_RESOLVED + c] = grown
 
 
 @inline
@@ -222,6 +243,7 @@ def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, 
     lost[k.V_RC1 + j] = rise + faded - rise * faded
     g[k.V_RC1 + j] = -r * to_target
     gain[k.V_RC1 + j] = r * i * to_target
+    w[W * (k.H_POLARISED + j) + c] += r * i * to_target - lost[k.V_RC1 + j] * w[W * (k.H_POLARISED + j) + c]
     # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate. An offset of
     # the current shifts every drop for good; the slowest process carries that of r0 too.
     r0 = y[W * (k.Y_DYN + k.D_R0) + c]
@@ -245,8 +267,8 @@ def warm_core(p: Any, w: Any, y: Any, m: Any, c: int, dt: Any) -> None:
     """The core's temperature goes to the surface's and what the losses i (ocv - v) put on top while i is known."""
     W = m.lanes
     loss = y[W * k.Y_DROP + c]
-    for j in range(m.n_v):
+    for j in range(m.n_pol):
         loss += w[W * (m.x + k.V_RC1 + j) + c]
     target = p[k.P_CORE_K_PER_W] * w[W * k.H_THROUGH + c] * loss * (y[W * k.Y_KNOWN + c] / dt)
     rise = w[W * k.H_CORE_RISE + c]
-    w[W * k.H_CORE_RISE + c] = rise + y[W * (k.Y_FALL + m.n_v) + c] * (target - rise)
+    w[W * k.H_CORE_RISE + c] = rise + y[W * (k.Y_FALL + m.r0) + c] * (target - rise)

@@ -20,6 +20,7 @@ from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import (
     BY_SIGMA_POINTS,
     DENSE_MAX,
+    H_POLARISED,
     N_MAX,
     P_E2,
     P_GAMMA,
@@ -31,6 +32,7 @@ from bms_ukf.kernel.layout import (
     Y_DROP_SLOPE,
     Y_FUSE,
     Y_INNOVATION,
+    Y_LEAD,
     Y_NOISE,
     Y_PER_VARIANCE,
     Y_PREDICTED,
@@ -39,6 +41,9 @@ from bms_ukf.kernel.layout import (
     tri,
 )
 from bms_ukf.kernel.memory import real, vector
+
+SIX = 6  # states of two RC pairs and a bias
+DENSE_SIX = SIX * SIX
 
 
 @inline
@@ -85,8 +90,9 @@ def triangularise(w: Any, c: int, m: Any, lost: Any, g: Any, q: Any) -> None:
     """Replace sqrt_P by the lower triangle of [A sqrt_P, diag(q)]."""
     W = m.lanes
     n = m.n
-    root = vector(w, DENSE_MAX)
-    noise = vector(w, DENSE_MAX)
+    # Of two sizes: on a microcontroller they lie in memory.
+    root = vector(w, DENSE_SIX) if n <= SIX else vector(w, DENSE_MAX)
+    noise = vector(w, DENSE_SIX) if n <= SIX else vector(w, DENSE_MAX)
     for j in range(n):
         for k in range(n):
             root[n * j + k] = real(w, 0)
@@ -99,20 +105,24 @@ def triangularise(w: Any, c: int, m: Any, lost: Any, g: Any, q: Any) -> None:
                 root[n * j + k] += g[j] * w[W * (m.root + tri(n - 1, k)) + c]
         noise[n * j + j] = q[j]
     # Written out, as LLVM does not unroll a loop with so large a body; what is beyond n vanishes.
-    reflect(root, noise, n, 0, n if m.bias else 1)
-    if n > 1:
-        reflect(root, noise, n, 1, n if m.bias else 2)
-    if n > 2:
-        reflect(root, noise, n, 2, n if m.bias else 3)
-    if n > 3:
-        reflect(root, noise, n, 3, n if m.bias else 4)
-    if n > 4:
-        reflect(root, noise, n, 4, n if m.bias else 5)
-    if n > 5:
-        reflect(root, noise, n, 5, n)
+    reflect_row(root, noise, m, 0)
+    reflect_row(root, noise, m, 1)
+    reflect_row(root, noise, m, 2)
+    reflect_row(root, noise, m, 3)
+    reflect_row(root, noise, m, 4)
+    reflect_row(root, noise, m, 5)
+    reflect_row(root, noise, m, 6)
+    reflect_row(root, noise, m, 7)
     for j in range(n):
         for k in range(j + 1):
             w[W * (m.root + tri(j, k)) + c] = root[n * j + k]
+
+
+@inline
+def reflect_row(root: Any, noise: Any, m: Any, j: int) -> None:
+    """`reflect` row j if there is one; without a bias A sqrt_P is lower triangular."""
+    if j < m.n:
+        reflect(root, noise, m.n, j, m.n if m.bias else j + 1)
 
 
 @inline
@@ -157,14 +167,18 @@ def innovate(
 ) -> None:
     """Predict the measurement `z` and compare: leaves the prediction, the innovation (z minus it) and its variance.
 
-    `g0, g_plus, g_minus`: OCV at SoC x[0] and at x[0] +- gamma sqrt_P[0, 0]; `drop`: the ohmic drop at no bias; `r`:
-    variance of the measurement. The belief is not touched, so a gate can stand between this and `update`.
+    `g0, g_plus, g_minus`: OCV at SoC x[0] and at x[0] +- gamma sqrt_P[0, 0]; `drop`: the ohmic drop by the cell file's
+    r0, at no bias; `r`: variance of the measurement. The belief is not touched, so a gate can stand before `update`.
     """
     W = m.lanes
     e = p[P_W] * (g_plus + g_minus - g0 - g0)
     z_pred = g0 + e - drop
     for j in range(m.n_v):
         z_pred -= w[W * (m.x + V_RC1 + j) + c]
+    now = drop
+    for j in range(m.n_rc):
+        now += w[W * (H_POLARISED + j) + c]
+    z_pred -= now * w[W * (m.x + m.r0) + c]
     slope = y[W * Y_DROP_SLOPE + c]
     if m.bias:
         z_pred += slope * w[W * (m.x + m.n - 1) + c]
@@ -174,6 +188,8 @@ def innovate(
         b = real(w, 0)
         for j in range(max(V_RC1, k), V_RC1 + m.n_v):
             b -= w[W * (m.root + tri(j, k)) + c]
+        if k <= m.r0:
+            b -= y[W * Y_LEAD + c] * w[W * (m.root + tri(m.r0, k)) + c]
         if m.bias:
             b += slope * w[W * (m.root + tri(m.n - 1, k)) + c]
         if k == SOC:

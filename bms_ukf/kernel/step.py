@@ -9,13 +9,14 @@ be doubted) has loops of its own, with branches.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
-from bms_ukf.kernel import adapt, belief, bias, idle, inputs, interval, ohmic, process, voltage
+from bms_ukf.kernel import adapt, belief, bias, idle, inputs, interval, ohmic, parts, process, voltage
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
+from bms_ukf.kernel.wide import update_wide
 from bms_ukf.records import Fault, Status
 
 NUMERIC = float(Fault.NUMERIC)
@@ -29,15 +30,38 @@ SOC_SLACK = 0.02  # how far SoC may wander beyond 0..1 before it is called out o
 SOC_BEYOND = 0.1  # and where it is stopped
 
 
+class Work(NamedTuple):
+    """Scratch of a step: working copy and values of the lanes, the same of components, and sums of their intervals."""
+
+    w: Any
+    y: Any
+    b: Any
+    v: Any
+    sums: Any
+
+
 @inline
 def step(
-    p: Any, s: Any, o: int, w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int, dt: Any, current: Any
+    p: Any,
+    s: Any,
+    o: int,
+    at: int,
+    work: Any,
+    io: Any,
+    first: int,
+    rows: int,
+    m: Any,
+    lanes: int,
+    dt: Any,
+    current: Any,
 ) -> int:
     """Advance the block at `o` by `dt` >= 0 s to a sample of one current (A) and each lane's voltage and temperature.
 
     `io[row * rows + first + lane]` holds what was measured (NaN: not) and receives the results. Returns the fault bits
     of all lanes (`records.Fault`) and, from bit STATUS_SHIFT up, a bit for each status (`records.Status`) among them.
+    The components of the lanes' beliefs (`parts`) are at `at`.
     """
+    w, y = work.w, work.y
     stands = m.lanes > 1 and dt <= real(p, 0) and not is_number(current)
     if stands and not idle.has_news(io, first, rows, lanes, real(p, OK << STATUS_SHIFT)):
         idle.compare_nothing(io, first, rows, lanes)
@@ -46,9 +70,11 @@ def step(
     inputs.take(p, w, y, io, first, rows, m, lanes, dt, current)
     gaps = inputs.share(p, w, y, m, lanes, dt)
     process.schedule(p, s, o, w, y, m, lanes)
-    ohmic.drop(p, w, y, m, lanes)
+    ohmic.drop(p, w, y, m, lanes, dt)
     if dt > real(p, 0):  # another measurement of the same instant moves nothing
         process.relax(p, w, y, m, lanes, dt, gaps)
+        process.walk(p, w, y, m, lanes, dt)
+        process.resolve(w, y, m, lanes)
         process.advance(p, w, y, m, lanes, dt)
     belief.start(p, w, y, m, lanes)
     if m.bias:
@@ -59,8 +85,7 @@ def step(
     adapt.learn(p, w, y, m, lanes)
     voltage.fuse(p, w, y, m, lanes)
     if special:
-        voltage.fuse_wide(p, w, y, m, lanes)
-        belief.doubt(p, w, y, m, lanes)
+        parts.follow(p, s, at, w, y, work.b, work.v, work.sums, m, lanes, dt, gaps)
     inputs.missing(p, w, y, m, lanes)
     refuse(s, o, w, y, m, lanes)
     bound(p, w, y, m, lanes)
@@ -79,8 +104,10 @@ def predict(p: Any, s: Any, w: Any, y: Any, m: Any, dt: Any, current: Any, tempe
     w[k.H_VOLTAGE_AGE] += dt
     y[k.Y_KNOWN] = dt
     process.schedule(p, s, 0, w, y, m, 1)
-    ohmic.drop(p, w, y, m, 1)
+    ohmic.drop(p, w, y, m, 1, dt)
     process.relax(p, w, y, m, 1, dt, 0)
+    process.walk(p, w, y, m, 1, dt)
+    process.resolve(w, y, m, 1)
     process.advance(p, w, y, m, 1, dt)
     y[k.Y_INNOVATION] = real(p, math.nan)  # that of another belief
     return settle(p, s, w, y, m)
@@ -103,10 +130,12 @@ def innovate(p: Any, s: Any, w: Any, y: Any, m: Any, z: Any) -> int:
 def update(p: Any, s: Any, w: Any, y: Any, m: Any) -> int:
     """Fuse the voltage that `innovate` compared, whatever the gate said of it. Returns fault bits."""
     load(s, 0, w, y, m, 1)
-    y[k.Y_FUSE] = real(p, k.BY_QUADRATURE) if voltage.is_wide(p, w, m, 0) else real(p, k.BY_SIGMA_POINTS)
+    wide = w[m.root] > p[k.P_WIDE_SIGMA]
+    y[k.Y_FUSE] = real(p, k.BY_QUADRATURE) if wide else real(p, k.BY_SIGMA_POINTS)
     y[k.Y_CODE] = real(p, 0) if is_number(y[k.Y_INNOVATION]) else real(p, math.nan)
     voltage.fuse(p, w, y, m, 1)
-    voltage.fuse_wide(p, w, y, m, 1)
+    if y[k.Y_FUSE] == real(p, k.BY_QUADRATURE):
+        update_wide(p, w, y, m, 0)
     y[k.Y_INNOVATION] = real(p, math.nan)  # fused once
     return settle(p, s, w, y, m)
 
@@ -126,19 +155,11 @@ def load(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
     for place in range(W * m.cache):
         w[place] = s[o + place]
     for c in range(lanes):
-        y[W * k.Y_ALIVE + c] = real(w, 1) if _finite(w, y, m, c) else real(w, 0)
+        y[W * k.Y_PARTS_LOW + c] = real(w, math.nan)
+        y[W * k.Y_ALIVE + c] = real(w, 1) if belief.is_finite(w, m, c) else real(w, 0)
         per_capacity, resistance = w[W * k.H_PER_CAPACITY + c], w[W * k.H_RESISTANCE + c]
         w[W * k.H_PER_CAPACITY + c] = per_capacity if is_number(per_capacity) else real(w, 1)
         w[W * k.H_RESISTANCE + c] = resistance if is_number(resistance) else real(w, 1)
-
-
-@inline
-def _finite(w: Any, y: Any, m: Any, c: int) -> Any:
-    W = m.lanes
-    total = w[W * k.H_VOLTAGE_AGE + c]
-    for slot in range(m.x, m.carry):
-        total += abs(w[W * slot + c])
-    return total - total == real(w, 0)
 
 
 @inline
@@ -148,7 +169,7 @@ def refuse(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
     refused = 0
     for c in range(lanes):
         code = y[W * k.Y_CODE + c]
-        good = (_finite(w, y, m, c) | (y[W * k.Y_ALIVE + c] == real(w, 0))) & is_number(code)
+        good = (belief.is_finite(w, m, c) | (y[W * k.Y_ALIVE + c] == real(w, 0))) & is_number(code)
         y[W * k.Y_CODE + c] = code if good else real(w, NUMERIC)
         refused |= 0 if good else 1
     if refused:
@@ -157,7 +178,7 @@ def refuse(s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None:
                 for slot in range(m.cache):
                     w[W * slot + c] = s[o + W * slot + c]
                 y[W * k.Y_INNOVATION + c] = real(w, math.nan)
-                y[W * k.Y_ALIVE + c] = real(w, 1) if _finite(w, y, m, c) else real(w, 0)
+                y[W * k.Y_ALIVE + c] = real(w, 1) if belief.is_finite(w, m, c) else real(w, 0)
 
 
 @inline

@@ -13,9 +13,9 @@ from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
 from bms_ukf.kernel.process import TINY_ROOT
 from bms_ukf.kernel.srukf import innovate, update
-from bms_ukf.kernel.wide import update_wide
 from bms_ukf.records import Fault
 
+REPEATS_MOST = 300.0  # readings that count as one at most
 INNOVATION_REJECTED = float(Fault.INNOVATION_REJECTED)
 
 
@@ -51,11 +51,9 @@ def look_up(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
 
 
 @inline
-def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
-    """Innovate every lane, and decide which voltages are fused. Returns whether any lane needs more than `update`."""
+def innovations(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
+    """Predict every lane's voltage and compare it with the one measured."""
     W = m.lanes
-    zero = real(p, 0)
-    special = 0
     for c in range(lanes):
         z = y[W * k.Y_VOLTAGE + c]
         sigma = y[W * k.Y_DROP_SIGMA + c]
@@ -64,13 +62,29 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         error = y[W * (k.Y_DYN + k.D_ERROR) + c]
         r = error * error * p[k.P_VAR_VOLTAGE] + sigma * sigma
         r *= real(p, VOLTAGE_ERROR_S) / age * w[W * k.H_VOLTAGE_SCALE + c]
+        # A reading that repeats has the same quantisation error: together they count as one.
+        r /= real(p, 1 + 1 / REPEATS_MOST) - w[W * k.H_REPEATS + c]
         g0, g_plus, g_minus = y[W * k.Y_OCV_D + c], y[W * (k.Y_OCV_D + 1) + c], y[W * (k.Y_OCV_D + 2) + c]
         innovate(p, w, y, c, m, z, y[W * k.Y_DROP + c], g0, g_plus, g_minus, r)
         if m.bias:
             by_soc = p[k.P_W] * p[k.P_GAMMA] * (g_plus - g_minus)
             bias.weigh(p, y, m, c, by_soc * by_soc)
+
+
+@inline
+def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
+    """Innovate every lane, and decide which voltages are fused. Returns whether any lane needs more than `update`.
+
+    A lane is compared by its Gaussian. Where that is too wide to be one, or is only the summary of components, the
+    components fuse the voltage (`parts`).
+    """
+    W = m.lanes
+    zero = real(p, 0)
+    innovations(p, w, y, m, lanes)
+    special = 0
+    for c in range(lanes):
         innovation = y[W * k.Y_INNOVATION + c]
-        heard = is_number(z) & (y[W * k.Y_ALIVE + c] > zero)
+        heard = is_number(y[W * k.Y_VOLTAGE + c]) & (y[W * k.Y_ALIVE + c] > zero)
         sound = innovation + y[W * k.Y_VARIANCE + c]
         compared = heard & (sound - sound == zero)
         accepted = innovation * innovation <= p[k.P_GATE2] * y[W * k.Y_VARIANCE + c]
@@ -84,24 +98,20 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         w[W * k.H_REJECTED_S + c] = waited
         code = real(p, INNOVATION_REJECTED) if refused else zero
         y[W * k.Y_CODE + c] += real(p, math.nan) if heard & (not compared) else code  # NaN: to be refused
-        wide = fuse & is_wide(p, w, m, c)
+        held = w[W * k.H_PARTS + c] > zero
+        wide = fuse & (held | is_wide(p, w, m, c))
         doubt = refused & (since >= p[k.P_REJECT_S])
-        special |= 1 if wide | doubt else 0
+        special |= 1 if held | wide | doubt else 0
         how = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
-        how = real(p, k.BY_QUADRATURE) if wide else how
+        how = real(p, k.BY_PARTS) if wide else how
         y[W * k.Y_FUSE + c] = real(p, k.DOUBT) if doubt else how
     return special
 
 
 @inline
 def is_wide(p: Any, w: Any, m: Any, c: int) -> Any:
-    """Whether the belief asks for the quadrature of `wide`: for its first voltage only.
-
-    What a quadrature leaves is not Gaussian, and the Gaussian that takes its place has tails the voltage had cut off.
-    The same voltage would cut them off again a second later, as if it were news, and at last a belief on a plateau
-    would be sure of its middle. Sigma points take the curve's ends for noise instead.
-    """
-    return (w[m.lanes * k.H_FRESH + c] > real(p, 0)) & (w[m.lanes * m.root + c] > p[k.P_WIDE_SIGMA])
+    """Whether a Gaussian of this width is too coarse for a curved OCV, or the belief is one that begins."""
+    return (w[m.lanes * k.H_FRESH + c] > real(p, 0)) | (w[m.lanes * m.root + c] > p[k.P_WIDE_SIGMA])
 
 
 @inline
@@ -112,16 +122,7 @@ def fuse(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     for c in range(lanes):
         update(w, y, c, m)
     for c in range(lanes):
-        fused = y[W * k.Y_FUSE + c] > real(p, k.IGNORE)
-        age, fresh = w[W * k.H_VOLTAGE_AGE + c], w[W * k.H_FRESH + c]
+        fused = y[W * k.Y_FUSE + c] == real(p, k.BY_SIGMA_POINTS)
+        age, unseen = w[W * k.H_VOLTAGE_AGE + c], w[W * k.H_UNSEEN_S + c]
         w[W * k.H_VOLTAGE_AGE + c] = zero if fused else age
-        w[W * k.H_FRESH + c] = zero if fused else fresh
-
-
-@inline
-def fuse_wide(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
-    """Update the lanes whose belief is too wide for sigma points."""
-    W = m.lanes
-    for c in range(lanes):
-        if y[W * k.Y_FUSE + c] == real(w, k.BY_QUADRATURE):
-            update_wide(p, w, y, m, c)
+        w[W * k.H_UNSEEN_S + c] = zero if fused else unseen

@@ -38,9 +38,7 @@ from bms_ukf import beliefs
 from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
 from bms_ukf.kernel import layout
-from bms_ukf.kernel.adapt import R0_SIGMA
-from bms_ukf.kernel.ohmic import R0_SHAPE
-from bms_ukf.kernel.params import voltage_sigmas
+from bms_ukf.kernel.params import R0_AGED_SIGMA, voltage_sigmas
 from bms_ukf.pack.counted import Counted
 from bms_ukf.pack.record import Ageing
 from bms_ukf.records import Estimate, Sample, Status
@@ -79,7 +77,7 @@ class Health:
         self._variance = np.full(cells, FRESH_SIGMA**2)
         self.segments = np.zeros(cells, dtype=np.int64)
         self.resistance = np.ones(cells)
-        self.resistance_sigma = np.full(cells, R0_SIGMA)
+        self.resistance_sigma = np.full(cells, R0_AGED_SIGMA)
         self.told_s = np.zeros(cells)
         self._counted = Counted(estimator)
         self._walked_s = 0.0  # of the time counted, until when the variance has grown
@@ -170,10 +168,9 @@ class Health:
     def _learn_resistance(self, load_s: float) -> None:
         """Average r0 over the time under load."""
         e = self.estimator
-        scale = beliefs.per_cell(e._state, layout.H_R0_SCALE, e.cells)
-        variance = beliefs.per_cell(e._state, layout.H_R0_VAR, e.cells)
-        used = e.resistance_scale * (scale - np.clip(scale - 1, -R0_SHAPE, R0_SHAPE))
-        told = np.isfinite(used) & (variance < (0.75 * R0_SIGMA) ** 2)  # else the time is long since a step
+        scale, variance = beliefs.r0_scale(e._form, e._state, e.cells)
+        used = e.resistance_scale * scale
+        told = np.isfinite(used) & (variance < (0.75 * R0_AGED_SIGMA) ** 2)  # else the time is long since a step
         self.told_s += np.where(told, load_s, 0.0)
         share = np.where(told, load_s / np.clip(self.told_s, load_s, RESISTANCE_TAU_S), 0.0)
         self.resistance += share * np.nan_to_num(used - self.resistance)

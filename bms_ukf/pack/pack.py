@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.estimator import Estimator
-from bms_ukf.kernel import entry, layout
+from bms_ukf.kernel import entry, limit_rows
 from bms_ukf.kernel.params import BITS, aligned
 from bms_ukf.pack.limits import Limits
 from bms_ukf.pack.record import PackEstimate
@@ -33,13 +33,13 @@ class Pack:
         self.estimator, self.limits = estimator, limits or Limits()
         cell, bits = estimator.cell.cell, BITS[estimator.precision]
         cells, wiring = estimator.cells, estimator.wiring
-        self._rows = aligned(layout.LIMIT_ROWS * cells, bits).reshape(layout.LIMIT_ROWS, cells)
-        self._conditions = a = aligned(layout.CONDITIONS, bits)
-        a[layout.A_VOLTAGE_MIN], a[layout.A_VOLTAGE_MAX] = self.limits.voltage_V or cell.voltage_limits_V
-        a[layout.A_CURRENT_MIN], a[layout.A_CURRENT_MAX] = self.limits.current_A or cell.current_limits_A
-        a[layout.A_DISCHARGE_RATE] = self.limits.discharge_rate * cell.capacity_Ah
-        a[layout.A_CHARGE_RATE] = -self.limits.charge_rate * cell.capacity_Ah
-        a[layout.A_SECONDS] = self.limits.pulse_s
+        self._rows = aligned(limit_rows.LIMIT_ROWS * cells, bits).reshape(limit_rows.LIMIT_ROWS, cells)
+        self._conditions = a = aligned(limit_rows.CONDITIONS, bits)
+        a[limit_rows.A_VOLTAGE_MIN], a[limit_rows.A_VOLTAGE_MAX] = self.limits.voltage_V or cell.voltage_limits_V
+        a[limit_rows.A_CURRENT_MIN], a[limit_rows.A_CURRENT_MAX] = self.limits.current_A or cell.current_limits_A
+        a[limit_rows.A_DISCHARGE_RATE] = self.limits.discharge_rate * cell.capacity_Ah
+        a[limit_rows.A_CHARGE_RATE] = -self.limits.charge_rate * cell.capacity_Ah
+        a[limit_rows.A_SECONDS] = self.limits.pulse_s
         params, state, _, _ = estimator._addresses
         self._addresses = params, state, self._rows.ctypes.data, a.ctypes.data, cells
         self._limits, self._energy = entry.limits(estimator._form, bits), entry.energy(estimator._form, bits)
@@ -110,7 +110,7 @@ class Pack:
     def _reach(self, pack: PackEstimate, soc: Array, sigma: Array) -> None:
         """Charge and energy to the first cell's end, and the times these take."""
         rows = self._rows
-        pack.cell_empty_soc, pack.cell_full_soc = rows[layout.L_EMPTY], rows[layout.L_FULL]
+        pack.cell_empty_soc, pack.cell_full_soc = rows[limit_rows.L_EMPTY], rows[limit_rows.L_FULL]
         capacity_Ah = self.estimator.cell.cell.capacity_Ah * self.estimator.capacity_scale
         left, room = (soc - pack.cell_empty_soc) * capacity_Ah, (pack.cell_full_soc - soc) * capacity_Ah
         lefts, rooms, variance, empties, fulls = 0.0, 0.0, 0.0, [], []
@@ -131,8 +131,8 @@ class Pack:
         pack.soc_sigma = pack.remaining_sigma_Ah / whole if whole > 0 else math.nan
         strings, idle_A = len(self._strings), IDLE_C * self.estimator.cell.cell.capacity_Ah
         a, drain = self._conditions, self._current_A / strings
-        pack.remaining_Wh = self._energy_of(lefts, drain if drain > idle_A else float(a[layout.A_DISCHARGE_RATE]))
-        pack.chargeable_Wh = self._energy_of(-rooms, drain if drain < -idle_A else float(a[layout.A_CHARGE_RATE]))
+        pack.remaining_Wh = self._energy_of(lefts, drain if drain > idle_A else float(a[limit_rows.A_DISCHARGE_RATE]))
+        pack.chargeable_Wh = self._energy_of(-rooms, drain if drain < -idle_A else float(a[limit_rows.A_CHARGE_RATE]))
         pack.time_to_empty_s = 3600 * pack.remaining_Wh / pack.power_W if drain > idle_A else math.nan
         pack.time_to_full_s = 3600 * pack.chargeable_Wh / -pack.power_W if drain < -idle_A else math.nan
         return None
@@ -140,10 +140,10 @@ class Pack:
     def _energy_of(self, charge_Ah: float, string_A: float) -> float:
         """Wh of the pack's charge moved, > 0, at a current of each string."""
         strings = len(self._strings)
-        self._conditions[layout.A_MOVED] = 3600 * charge_Ah / strings
-        self._conditions[layout.A_DRAIN] = string_A
+        self._conditions[limit_rows.A_MOVED] = 3600 * charge_Ah / strings
+        self._conditions[limit_rows.A_DRAIN] = string_A
         self._energy(*self._addresses)
-        mean_V = self._rows[layout.L_MEAN_V]
+        mean_V = self._rows[limit_rows.L_MEAN_V]
         string_V = sum(_mean(mean_V[members]) * len(members) for members in self._strings.values()) / strings
         return abs(charge_Ah) * string_V
 
@@ -151,15 +151,15 @@ class Pack:
         """The current of the cell that allows least, through every string: by resistance, not by limit, it divides."""
         rows, strings = self._rows, len(self._strings)
         for row, side, most in (
-            (layout.L_DISCHARGE, "discharge", float(self._conditions[layout.A_CURRENT_MAX])),
-            (layout.L_CHARGE, "charge", float(self._conditions[layout.A_CURRENT_MIN])),
+            (limit_rows.L_DISCHARGE, "discharge", float(self._conditions[limit_rows.A_CURRENT_MAX])),
+            (limit_rows.L_CHARGE, "charge", float(self._conditions[limit_rows.A_CURRENT_MIN])),
         ):
-            current, sigma = rows[row], rows[row + layout.L_SIGMA]
+            current, sigma = rows[row], rows[row + limit_rows.L_SIGMA]
             sigma[np.abs(current) >= abs(most)] = 0.0
             size = np.where(known, np.abs(current), math.inf)
             cell = int(np.argmin(size))
             string_A = float(current[cell])
-            volts = rows[row + layout.L_VOLTAGE] + rows[row + layout.L_OHM] * (current - string_A)
+            volts = rows[row + limit_rows.L_VOLTAGE] + rows[row + limit_rows.L_OHM] * (current - string_A)
             setattr(pack, f"cell_{side}_A", current)
             setattr(pack, f"cell_{side}_sigma_A", sigma)
             setattr(pack, f"{side}_A", strings * string_A)

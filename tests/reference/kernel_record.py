@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bms_ukf import CellParams, Fault, Status, Tuning
 from bms_ukf.kernel import entry, layout
-from bms_ukf.kernel.params import aligned, form_of, params
+from bms_ukf.kernel.params import aligned, form_of, params, state_size
 from bms_ukf.kernel.step import FAULT_MASK, STATUS_SHIFT
 
 Array = NDArray[np.floating]
@@ -23,7 +23,7 @@ class Record:
         self.form = form_of(cell, tuning, 1, bits)
         self.n = self.form.n
         self.params = params(cell, tuning, bits)
-        self.state = aligned(self.form.size, bits)
+        self.state = aligned(state_size(self.form, 1), bits)
         self.io = aligned(layout.IO_ROWS, bits)
         self.addresses = self.params.ctypes.data, self.state.ctypes.data, self.io.ctypes.data, 1
         self._tick = entry.tick(self.form, bits)

@@ -3,7 +3,7 @@
 Wan & van der Merwe, "The unscented Kalman filter" (in Haykin, Kalman Filtering and Neural Networks, 2001, ch. 7), with
 additive noise: 2n + 1 sigma points from a Cholesky factor of the full covariance, redrawn after the time update. The
 bias takes part of its gain only (Brink, "Partial-update Schmidt-Kalman filter", J. Guid. Control Dyn. 40(9), 2017). It
-knows nothing of the structure of the model and uses nothing of the production filter but the cell's tables.
+uses no structure of the model, and of the production filter only the cell's tables and the figures of its model errors.
 """
 
 from __future__ import annotations
@@ -16,8 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf import CellParams, Tuning
+from bms_ukf.kernel import params as figures
 
 Array = NDArray[np.float64]
+RECENT_S = 3.0  # how long a change of the current leaves a fast voltage error
+REPEATS_S = 60.0  # over which the share of repeated readings is taken
+REPEATS_MOST = 300.0  # readings that count as one at most
 
 
 class Ukf:
@@ -69,7 +73,10 @@ class Ukf:
 
 @dataclass
 class Cell:
-    """The cell with the noise that a cell file and a tuning ask for, and the filter of its state."""
+    """The cell with the noise that a cell file and a tuning ask for, and the filter of its state.
+
+    x = [soc, v_rc1.., v_hyst?, v_slow, r0_error, bias?]: `n_pol` polarisation voltages, then the slow voltage error.
+    """
 
     params: CellParams
     tuning: Tuning
@@ -79,14 +86,25 @@ class Cell:
     age: float = 1.0  # s since the last voltage; before the first, none was near
 
     def __post_init__(self) -> None:
-        noise = self.params.noise
+        cell, noise, spec = self.params.cell, self.params.noise, self.tuning.sensor_spec
         self.n_rc = self.params.dynamics.n_rc
+        self.n_pol = self.n_rc + (self.params.hysteresis is not None)
+        self.slow, self.r0 = 1 + self.n_pol, 2 + self.n_pol
         self.sigmas = [getattr(noise, f"v_rc{j}_sigma_V") for j in range(1, self.n_rc + 1)]
-        spec = self.tuning.sensor_spec
-        self.offset = spec.current_offset_sigma_A(self.params.cell.capacity_Ah)
-        self.gain = math.hypot(spec.current_gain_sigma, 0.2 * self.tuning.capacity_doubt)
+        self.charge = 3600 * cell.capacity_Ah
+        self.offset = spec.current_offset_sigma_A(cell.capacity_Ah)
+        self.gain = math.hypot(spec.current_gain / 1.96, self.tuning.capacity_doubt)
+        nominal = float(self.params.ocv_V(0.5, 25.0))
+        self.slow_var = figures.SLOW_SIGMA_V**2 + spec.voltage_offset_sigma_V(nominal) ** 2
+        self.r0_var = noise.r0_rel_sigma**2 + figures.R0_AGED_SIGMA**2
+        self.r0_var += (figures.R0_PER_K * spec.temperature_sigma_K) ** 2
+        self.white = noise.voltage_sigma_V**2 + self.tuning.voltage_white_var_V2 + figures.FAST_SIGMA_V**2
+        if self.params.hysteresis:
+            self.white += (figures.FAST_HYSTERESIS * float(np.median(self.params.hysteresis.max_V))) ** 2
+        self.fast = math.hypot(figures.FAST_REL, spec.skew_sigma_s)
+        self.repeats, self.last = 0.0, math.nan
 
-    def start(self, i: float, temperature: float) -> None:
+    def start(self, i: float, voltage: float, temperature: float) -> None:
         """At `tuning.initial_soc`; current i, and C/20 more or less of it, may have flowed for long or not at all."""
         soc, tuning = self.tuning.initial_soc, self.tuning
         at, halfway = self.dynamics(soc, temperature), self.dynamics(0.5, temperature)
@@ -100,23 +118,42 @@ class Cell:
             x.append(0.0)
             own = at["error_scale"] * self.params.noise.hysteresis_sigma_V
             variances.append(own**2 + at["hysteresis_V"] ** 2 / 3)
+        x += [0.0, 0.0]
+        variances += [at["error_scale"] ** 2 * self.slow_var, self.r0_var]
         if tuning.current_bias:
             x.append(0.0)
             variances.append(self.offset**2)
         self.ukf = Ukf(np.array(x), np.diag(variances), tuning.alpha, tuning.beta, tuning.kappa)
+        self.recent, _ = self.drop(at, i)
+        self.polarised = np.zeros(self.n_rc)  # by the current alone, from here on
+        self.age, self.last = 0.0, voltage
+
+    def drop(self, at: dict[str, float], i: float) -> tuple[float, float]:
+        """The ohmic drop by the cell file's r0, V, and its slope over the current, ohm."""
+        r0, knee = at["r0_ohm"] if i >= 0 else at["r0_charge_ohm"], at["r0_knee_A"]
+        return r0 * knee * math.asinh(i / knee), r0 / math.hypot(1, i / knee)
 
     def predict(self, dt: float, i: float, temperature: float) -> None:
         assert self.ukf is not None
         self.age += dt
-        noise, tuning = self.params.noise, self.tuning
-        charge = 3600 * self.params.cell.capacity_Ah
+        self.dt = dt
+        noise, tuning, charge = self.params.noise, self.tuning, self.charge
         efficiency = self.params.cell.coulombic_efficiency if i < 0 else 1.0
         mean_i = i - self.ukf.x[-1] if tuning.current_bias else i
         at = self.dynamics(float(self.ukf.x[0] - efficiency * mean_i * dt / charge), temperature)  # at the mean to come
-        decays = [math.exp(-dt / at[f"tau{j}_s"]) for j in range(1, self.n_rc + 1)]
-        resistances = [at[f"r{j}_ohm"] for j in range(1, self.n_rc + 1)]
+        decays = np.array([math.exp(-dt / at[f"tau{j}_s"]) for j in range(1, self.n_rc + 1)])
+        resistances = np.array([at[f"r{j}_ohm"] for j in range(1, self.n_rc + 1)])
         n_rc, hysteresis, horizon = self.n_rc, self.params.hysteresis, tuning.current_error_horizon_s
         offset = 0.0 if tuning.current_bias else self.offset
+        a_slow = self.kept(dt, i, figures.SLOW_TAU_S, figures.SLOW_SOC)
+        a_r0 = self.kept(dt, i, figures.R0_TAU_S, figures.R0_SOC)
+        drop, slope = self.drop(at, i)
+        # The lead and the slope are those before this sample's noise.
+        self.lead = self.recent + self.polarised.sum()
+        self.slope = slope * (1 + self.ukf.x[self.r0])
+        self.fast_sigma = self.fast * (drop - self.recent)
+        self.recent += (drop - self.recent) * dt / (dt + RECENT_S)
+        self.polarised = decays * self.polarised + (1 - decays) * resistances * i
 
         def f(x: Array) -> Array:
             true_i = i - x[-1] if tuning.current_bias else i
@@ -125,11 +162,13 @@ class Cell:
             if hysteresis:
                 a = math.exp(-hysteresis.rate * abs(i) * dt / charge)
                 after.append(a * x[1 + n_rc] + (1 - a) * math.copysign(at["hysteresis_V"], i))
+            after += [a_slow * x[self.slow], a_r0 * x[self.r0]]
             if tuning.current_bias:
                 after.append(math.exp(-dt / horizon) * x[-1])
             return np.array(after)
 
-        q = [(offset**2 + (self.gain * i) ** 2) * horizon / charge**2 * dt]
+        walk = offset**2 * horizon / charge**2 + self.gain**2 * figures.MOVED * abs(i) / charge
+        q = [walk * dt]
         for j, (a, r, sigma) in enumerate(zip(decays, resistances, self.sigmas, strict=True), 1):
             shifted = r + at["r0_ohm"] if j == n_rc else r
             own = at["error_scale"] * math.hypot(sigma, noise.rc_rel_sigma * r * i)
@@ -137,32 +176,40 @@ class Cell:
         if hysteresis:
             own = at["error_scale"] * noise.hysteresis_sigma_V
             q.append(-math.expm1(-2 * hysteresis.rate * abs(i) * dt / charge) * own**2)
+        q += [(1 - a_slow**2) * at["error_scale"] ** 2 * self.slow_var, (1 - a_r0**2) * self.r0_var]
         if tuning.current_bias:
             q.append(-math.expm1(-2 * dt / horizon) * self.offset**2)
         self.ukf.predict(f, np.diag(q))
 
+    def kept(self, dt: float, i: float, tau_s: float, soc: float) -> float:
+        """Of an error that is another after `tau_s`, and after a charge of `soc`."""
+        return math.exp(-dt / tau_s - abs(i) * dt / (soc * self.charge))
+
     def update(self, voltage: float, i: float, temperature: float) -> None:
+        """Fuse the voltage of the instant to which `predict` led."""
         assert self.ukf is not None
-        noise = self.params.noise
         at = self.dynamics(float(self.ukf.x[0]), temperature)
-        # The bias moves the drop by little: straight in it.
-        r0, knee = at["r0_ohm"] if i >= 0 else at["r0_charge_ohm"], at["r0_knee_A"]
-        drop, slope = r0 * knee * math.asinh(i / knee), r0 / math.hypot(1, i / knee)
-        variance = noise.voltage_sigma_V**2 + self.tuning.voltage_noise_V**2
-        variance += (noise.r0_rel_sigma * drop) ** 2
-        variance *= at["error_scale"] ** 2
+        drop, _ = self.drop(at, i)
+        self.repeats += (float(voltage == self.last) - self.repeats) * self.dt / (self.dt + REPEATS_S)
+        self.last = voltage
+        variance = at["error_scale"] ** 2 * self.white + self.fast_sigma**2
         variance /= min(self.age, 1.0)  # voltages that come faster than one a second count for less
+        variance /= 1 + 1 / REPEATS_MOST - self.repeats
         self.age = 0.0
-        bias = self.tuning.current_bias
+        bias, error = self.tuning.current_bias, self.ukf.x[self.r0]
+        now = drop + self.polarised.sum()
 
         def h(x: Array) -> float:
-            voltages, seen = (x[1:-1], drop - slope * x[-1]) if bias else (x[1:], drop)
-            return self.ocv(x[0], temperature) - float(voltages.sum()) - seen
+            # The prediction has the current of now, its slope over the r0 error that of before. The bias moves the drop
+            # by little: straight in it.
+            ohmic = drop + now * error + self.lead * (x[self.r0] - error) - (self.slope * x[-1] if bias else 0.0)
+            return self.ocv(x[0], temperature) - float(x[1 : self.r0].sum()) - ohmic
 
         if not bias:
             self.ukf.update(h, voltage, variance)
             return
-        slow = sum(sigma**2 for sigma in self.sigmas)
-        slow += noise.hysteresis_sigma_V**2 if self.params.hysteresis and noise.hysteresis_sigma_V else 0.0
+        noise = self.params.noise
+        lasting = sum(sigma**2 for sigma in self.sigmas)
+        lasting += noise.hysteresis_sigma_V**2 if self.params.hysteresis and noise.hysteresis_sigma_V else 0.0
         by_soc = self.ukf.explained(lambda soc: self.ocv(soc, temperature))
-        self.ukf.update(h, voltage, variance, by_soc / (by_soc + variance + at["error_scale"] ** 2 * slow))
+        self.ukf.update(h, voltage, variance, by_soc / (by_soc + variance + at["error_scale"] ** 2 * lasting))
