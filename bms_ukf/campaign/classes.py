@@ -52,7 +52,7 @@ FAMILIES = tuple(dict.fromkeys(kind.family for kind in CLASSES.values()))
 
 
 def named(name: str | None) -> list[str]:
-    """Return the classes of that name or family, all for None. ConfigError if there is none."""
+    """Return the classes of that name or family, all for None. Raise ConfigError for an unknown name."""
     found = [kind.name for kind in CLASSES.values() if name is None or name in {kind.name, kind.family}]
     if not found:
         expected = f"a class ({', '.join(CLASSES)}) or a family of classes ({', '.join(FAMILIES)})"

@@ -39,7 +39,7 @@ class Course(NamedTuple):
 
 
 def cut(trace: Trace, first: int, rows: int) -> Course:
-    """Return `rows` rows of a trace from row `first` on, or as many as there are; its time starts anew at 0."""
+    """Return `rows` rows of a trace from row `first` on, or as many as there are. Time restarts at 0."""
     part = slice(first, min(first + rows, trace.rows))
     t_s = trace.step_s * np.arange(1.0, part.stop - part.start + 1)
     return Course(

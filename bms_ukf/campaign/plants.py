@@ -20,7 +20,7 @@ class CampaignPlant(NamedTuple):
     low_V: float
     high_V: float
     nominal_V: float
-    maker: tuple[str, ...] = ()  # what plantmaker is told; empty: the FMU is a shipped one
+    maker: tuple[str, ...] = ()  # arguments of plantmaker; empty: the FMU is a shipped one
     parallel: int = 1  # a cell that is too small for a car is taken so many times
     hysteresis: bool = False
     empty_full: tuple[float, float] = (0.0, 1.0)  # in the FMU's SoC, by the slow test: what the project calls 0 and 1

@@ -1,7 +1,7 @@
 """Samples of any rate in, blocks of a second or more out: mean current, voltage, temperature.
 
 Means over a second take out noise and the skew between frames at 100 Hz; slower samples are blocks of their own. A
-block ends with an instant, whatever the order in which the frames of that instant come.
+block ends with an instant; the order of that instant's frames does not matter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bms_ukf.records import PerCell, Sample
 
 BLOCK_NS = 950_000_000  # a second, less what a sender's clock may be off
 TOGETHER_NS = 20_000_000  # apart by less, two frames are of one instant
-GAP_NS = 25_000_000_000  # a longer block has an unknown course in it; sampling every 10 s with one lost is none
+GAP_NS = 25_000_000_000  # the course within a longer block is unknown; one lost sample at 10 s sampling stays below
 PATIENCE = 2.5  # times the last block, for a voltage to come
 
 

@@ -8,7 +8,7 @@ fails again waits twice as long.
 
 Where the limit lies: a sensor that fails at rest, or under a load that does not change, by reading what it should read
 is right until the load changes. A gain error below 1.5 and an offset are not found here, they are in the interval; nor
-is a gain of 2 told below 10 % SoC, where the resistance of a cell doubles by itself. A current clipped at zero or at
+is a gain of 2 told below 15 % SoC, where the resistance of a cell doubles by itself. A current clipped at zero or at
 its range is found where the voltage moves while it is clipped.
 """
 

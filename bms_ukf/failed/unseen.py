@@ -1,7 +1,7 @@
 """What the voltage does under a current that says it does not move: a load that the sensor does not see.
 
 Beyond what is left of noise, resolution and relaxation (`steps`), a step of SIGMAS is a load that was not seen: by
-chance one in 5e8. Cells do not do it: over 60 h of recordings two such steps fell within 120 s once, never three. So
+chance one in 5e8. Cells do not do it: three such steps within 120 s were seen once, in pulse tests resampled to 2 s. So
 STEPS of them within WINDOW_S name the sensor. Under a constant load there is only one: it does if the voltage goes on
 as under a load, by LASTS_S; so does a step of the current that the voltage does not follow.
 
