@@ -62,12 +62,13 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
     _require("--temperature", temperature_degC, low <= temperature_degC <= high, f"{low:g}..{high:g} degC, the cell's")
 
     tuning, curve = Tuning(), Curve(cell, temperature_degC)
-    white_var_V2, slow_var_V2, r0_var = (
-        curve.params[place].item() for place in (layout.P_VAR_VOLTAGE, layout.P_SLOW_VAR, layout.P_R0_VAR)
+    noise_var_V2, fast_var_V2, slow_var_V2, r0_var = (
+        curve.params[place].item()
+        for place in (layout.P_VAR_VOLTAGE, layout.P_FAST_VAR, layout.P_SLOW_VAR, layout.P_R0_VAR)
     )
     voltages_V = [*voltage_sigmas(cell), math.sqrt(slow_var_V2)]
     sigmas = [*voltages_V, math.sqrt(r0_var)]  # of the states beside SoC
-    error_V = math.hypot(math.sqrt(white_var_V2), *voltages_V)
+    error_V = math.hypot(math.sqrt(noise_var_V2), math.sqrt(fast_var_V2), *voltages_V)
     weights = unscented.scaled(1 + len(sigmas), tuning.alpha, tuning.beta, tuning.kappa)
     bias = {name: _bias(curve, soc, times * sigma, sigmas, weights) for name, times in SIZES.items()}
     points = unscented.sigma_points([soc] + [0] * len(sigmas), np.diag([sigma, *sigmas]) ** 2, weights.spread)

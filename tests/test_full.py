@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 
 from bms_ukf import Tuning
 from bms_ukf.kernel import full, layout
+from bms_ukf.kernel.adapt import FAST_S
 from bms_ukf.kernel.memory import pointer
+from bms_ukf.kernel.ohmic import SMALL_LOAD
 
 N = 3
 Array = np.ndarray
@@ -99,6 +101,11 @@ class Past(NamedTuple):
         return Past(self.recent + (drop - self.recent) * dt / (dt + 3.0), a * self.polarised + charged)
 
 
+def over(drop: float, small: float) -> float:
+    """The part of a drop beyond that of a small load."""
+    return drop - min(max(drop, -small), small)
+
+
 def cell_model(record, dt: float, i: float, T: float, before: Array, past: Past, scheduled: bool):
     """Process, its noise and measurement of CELL from `before`, the mean; tables at the mean SoC, or at each point."""
     efficiency = 0.99 if i < 0 else 1.0
@@ -122,15 +129,20 @@ def cell_model(record, dt: float, i: float, T: float, before: Array, past: Past,
 
     here = record.dynamics(mean, T)
     q = [dt * p[layout.P_SOC_WALK_OFFSET] + p[layout.P_SOC_WALK_GAIN] * moved]
-    for j, shift in ((1, here["r1_ohm"]), (2, here["r2_ohm"] + here["r0_ohm"])):
+    for j in (1, 2):
         error = p[layout.P_RC_REL] * here[f"r{j}_ohm"] * i
-        variance = p[layout.P_VAR_V + j - 1] + error**2 + (p[layout.P_CURRENT_OFFSET] * shift) ** 2
+        variance = p[layout.P_VAR_V + j - 1] + error**2
         q.append(-math.expm1(-2 * dt / here[f"tau{j}_s"]) * variance)
-    q += [(1 - a**2) * p[slot] for a, slot in zip(kept, (layout.P_SLOW_VAR, layout.P_R0_VAR), strict=True)]
+    polarised = past.after(record, dt, i, T, mean).polarised.sum()
+    offset = p[layout.P_BIAS_SIGMA] * (here["r0_ohm"] + here["r1_ohm"] + here["r2_ohm"])
+    slow = p[layout.P_SLOW_VAR] + offset**2 + (p[layout.P_SLOW_REL] * polarised) ** 2
+    q += [(1 - a**2) * variance for a, variance in zip(kept, (slow, p[layout.P_R0_VAR]), strict=True)]
     drop = record.drop(mean, T, i)
-    r = (p[layout.P_VAR_VOLTAGE] + (p[layout.P_FAST_REL] * (drop - past.recent)) ** 2) / (1 + 1 / 300)
-    lead = past.recent + past.polarised.sum()
-    now = drop + past.after(record, dt, i, T, mean).polarised.sum()
+    fast = (p[layout.P_FAST_REL] * (drop - past.recent)) ** 2
+    r = (p[layout.P_VAR_VOLTAGE] + p[layout.P_FAST_VAR] * FAST_S / dt + fast) / (1 + 1 / 300)
+    small = SMALL_LOAD * p[layout.P_STILL] * here["r0_ohm"]
+    lead = over(past.recent, small) + past.polarised.sum()
+    now = over(drop, small) + polarised
     error = kept[1] * before[4]
 
     def h(x: Array) -> float:

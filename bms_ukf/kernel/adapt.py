@@ -14,7 +14,8 @@ from bms_ukf.kernel.ecm import clamp
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real
 
-VOLTAGE_ERROR_S = 1.0  # how long a fast voltage error lasts: the interval that [noise] of a cell file is derived at
+VOLTAGE_ERROR_S = 1.0  # how long noise of a voltage lasts: the interval that [noise] of a cell file is derived at
+FAST_S = 40.0  # how long a fast error of the model lasts: readings that crowd in so long are together worth one
 SCALE_S = 300.0  # over which the size of the fast error is told
 SCALE_MAX = 64.0
 STEP_MAX_S = 10.0  # a longer silence counts as so much: one innovation says no more
@@ -35,9 +36,8 @@ def learn(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     gate2, adapts = p[k.P_GATE2], p[k.P_ADAPT] > real(p, 0)
     for c in range(lanes):
         innovation, variance = y[W * k.Y_INNOVATION + c], y[W * k.Y_VARIANCE + c]
+        crowded = y[W * k.Y_CROWDED + c]
         since = clamp(y[W * k.Y_SINCE_HEARD + c], zero, real(p, STEP_MAX_S))
-        age = clamp(w[W * k.H_VOLTAGE_AGE + c], zero, real(p, VOLTAGE_ERROR_S))
-        crowded = y[W * k.Y_NOISE + c] * (one - age / real(p, VOLTAGE_ERROR_S))
         nis = innovation * innovation / (variance - crowded)
         # A refused voltage would make the filter accept the next one like it.
         fused = y[W * k.Y_FUSE + c] > real(p, k.IGNORE)

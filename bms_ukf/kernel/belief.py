@@ -7,7 +7,7 @@ from typing import Any
 
 from bms_ukf.kernel import adapt
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import FAST_S
 from bms_ukf.kernel.ecm import dynamics
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import tri
@@ -41,7 +41,7 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
             adapt.start(w, m, c)
             w[W * k.H_REST_A + c] = real(w, math.nan)
             w[W * k.H_LOADED + c] = real(w, 0)
-            w[W * k.H_VOLTAGE_AGE + c] = real(w, VOLTAGE_ERROR_S)  # no voltage was fused lately
+            w[W * k.H_VOLTAGE_AGE + c] = real(w, FAST_S)  # no voltage was fused lately
             y[W * k.Y_ALIVE + c] = real(w, 1)
 
 

@@ -19,6 +19,7 @@ from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import PARTS, tri
 from bms_ukf.kernel.memory import real, vector
 from bms_ukf.kernel.pieces import UNIFORM, clear, put
+from bms_ukf.kernel.process import offset_drop
 from bms_ukf.kernel.srukf import update
 
 FINE = 2  # times PARTS: intervals of SoC
@@ -162,7 +163,11 @@ def polarise(p: Any, w: Any, b: Any, v: Any, m: Any, c: int, mb: Any, loaded: in
             # Anywhere between the branches: a uniform distribution.
             anywhere = error * error * p[k.P_VAR_V + m.n_rc] + largest * largest / real(w, 3)
             b[B * (mb.root + tri(row, row)) + lane] = math.sqrt(anywhere)
-        b[B * (mb.root + tri(m.n_v, m.n_v)) + lane] *= max(error, real(w, 1)) * times
+        # The slow error of the resistances at this temperature: the cell's Gaussian was begun at half charge.
+        slow = b[B * (mb.root + tri(m.n_v, m.n_v)) + lane]
+        offset_V = offset_drop(p, v, mb, lane)
+        slow = max(error, real(w, 1)) * slow
+        b[B * (mb.root + tri(m.n_v, m.n_v)) + lane] = times * math.sqrt(slow * slow + offset_V * offset_V)
 
 
 @inline
@@ -184,11 +189,11 @@ def prior(w: Any, soc: Any, mean: Any, sigma: Any, stray: Any) -> Any:
 
 @inline
 def reached(sums: Any, found: int, best: Any) -> tuple[Any, Any]:
-    """The lower end of the fine intervals that a first voltage leaves some mass, and the width of PARTS over them."""
+    """The lower end of the fine intervals that a first voltage leaves some mass, and the width of the intervals of one history over them."""
     one = real(sums, 1)
     fine = one / real(sums, FINE * PARTS)
     low, high = one, real(sums, 0)
     for j in range(FINE * PARTS):
         if sums[found + j] < best + real(sums, NIS_REACH):
             low, high = min(low, real(sums, j) * fine), max(high, real(sums, j + 1) * fine)
-    return low, (high - low) / real(sums, PARTS)
+    return low, (high - low) / real(sums, PARTS // HISTORIES)

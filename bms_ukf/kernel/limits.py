@@ -170,7 +170,7 @@ def doubt(p: Any, s: Any, o: int, m: Any, T: Any, seconds: Any, z: Any, i: Any) 
     slope = (ocv(p, soc + step, T) - ocv(p, soc - step, T)) / (step + step)
     error = dynamics(p, soc, T, k.D_ERROR, m.channels)
     ohmic_V = drop(p, z, i)
-    variance = error * error * p[k.P_VAR_VOLTAGE]
+    variance = error * error * (p[k.P_VAR_VOLTAGE] + p[k.P_FAST_VAR])
     stays = vector(s, N_MAX)
     for j in range(m.n_v):
         stays[j] = real(p, 1)

@@ -4,6 +4,7 @@
 
 The relative error of r0 is a state. The measurement depends on it by the drop that has stood for RECENT_S, not by that
 of this sample: the noise of a current sensor moves the prediction and not the cell, and would drive r0 to nothing.
+For the same reason a drop scales with that error only beyond the drop of a small load.
 
 The logarithm is taken of a small argument: halvings of it bring the block's largest i / knee into the reach of a
 polynomial, so a block whose currents are far below the knee takes no square root at all.
@@ -16,12 +17,13 @@ from typing import Any
 
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
-from bms_ukf.kernel.ecm import ASINH_HALVINGS, ASINH_REACH, asinh_small, halve_asinh
+from bms_ukf.kernel.ecm import ASINH_HALVINGS, ASINH_REACH, asinh_small, clamp, halve_asinh
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real
 
 RECENT_S = 3.0  # how long a change of the current leaves a fast voltage error
 LEADS_S = 0.5  # a voltage whose current is older says nothing of r0: a frame of the current may be lost
+SMALL_LOAD = 4.0  # times P_STILL: of less, noise of the sensor may be as much
 STALE = 3.0  # times P_EXCITED: one sigma of how far a current has moved since it became so old
 LASTS_S = 300.0  # how long an unknown current stays about the same
 
@@ -51,13 +53,14 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
         r0, u = y[W * k.Y_R0 + c], y[W * k.Y_OHMIC + c]
         ohmic = r0 * y[W * (k.Y_DYN + k.D_KNEE) + c] * (times * asinh_small(p, u / y[W * k.Y_SCALE + c]))
+        small = r0 * real(p, SMALL_LOAD) * p[k.P_STILL]
         error = w[W * (m.x + m.r0) + c]
         r0 *= one + (error if error - error == zero else zero)
         slope = r0 / math.sqrt(one + u * u)
         recent = w[W * k.H_RECENT + c]
         alive = y[W * k.Y_ALIVE + c] > zero  # before a belief the temperature may not be known yet
         recent = recent if (recent - recent == zero) & alive else ohmic
-        lead = recent
+        lead = beyond(recent, small)
         for j in range(m.n_rc):
             polarised = w[W * (k.H_POLARISED + j) + c]
             lead += polarised if polarised - polarised == zero else zero
@@ -69,13 +72,18 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         y[W * k.Y_LEAD + c] = zero if unknown | stale else led
         y[W * k.Y_R0 + c] = r0
         y[W * k.Y_DROP + c] = zero if unknown else ohmic
+        y[W * k.Y_SCALED + c] = zero if unknown else beyond(ohmic, small)
         # An unknown current is not a new one at every sample: its drop counts as one error that lasts LASTS_S.
         fast, moved = p[k.P_FAST_REL] * (ohmic - used), slope * real(p, STALE) * p[k.P_EXCITED]
         fast = math.sqrt(fast * fast + moved * moved) if stale else fast
         y[W * k.Y_DROP_SIGMA + c] = lasting * ohmic if unknown else fast
-        if m.bias:
-            y[W * k.Y_DROP_SLOPE + c] = slope
         w[W * k.H_RECENT + c] = recent if unknown else recent + (ohmic - recent) * passed
+
+
+@inline
+def beyond(drop: Any, small: Any) -> Any:
+    """The part of a drop beyond that of a small load: nothing of it is noise of the current sensor at rest."""
+    return drop - clamp(drop, -small, small)
 
 
 @inline

@@ -35,12 +35,13 @@ COMPACT = Grid(ocv_intervals=100, dyn_intervals=20, temperature_step_K=10.0)  # 
 # Errors of an equivalent circuit that last: one sigma, and how far in time and in SoC they stay the same. Chosen over
 # the plants of the honesty campaign, not for one cell file (`bms-ukf campaign`).
 SLOW_SIGMA_V = 0.005  # diffusion, hysteresis and OCV
+SLOW_REL = 0.15  # and a share of the polarisation
 SLOW_TAU_S, SLOW_SOC = 7200.0, 0.1
 R0_AGED_SIGMA = 0.2  # all resistances of an aged cell, relative
 R0_TAU_S, R0_SOC = 20_000.0, 0.6
 R0_PER_K = 0.03  # how fast a resistance changes with temperature, relative
-# Errors that pass within seconds.
-FAST_SIGMA_V = 0.0045  # as of one reading a second
+# Errors that pass within FAST_S.
+FAST_SIGMA_V = 0.005
 FAST_HYSTERESIS = 0.6  # of the largest hysteresis voltage: how far a one-state model of it is off
 FAST_REL = 0.3  # after a change of the current, as a share of the change of the ohmic drop
 
@@ -102,9 +103,10 @@ def _write_cell(p: Array, cell: CellParams, tuning: Tuning) -> None:
     p[k.P_TEMPERATURE_MIN], p[k.P_TEMPERATURE_MAX] = -60.0, 120.0
     p[k.P_TABLE_TEMPERATURE_MIN], p[k.P_TABLE_TEMPERATURE_MAX] = limits.temperature_limits_degC
     p[k.P_CURRENT_RANGE] = (discharge - charge) / 2
-    p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2 + FAST_SIGMA_V**2
+    p[k.P_VAR_VOLTAGE] = noise.voltage_sigma_V**2 + tuning.voltage_white_var_V2
+    p[k.P_FAST_VAR] = FAST_SIGMA_V**2
     if cell.hysteresis:
-        p[k.P_VAR_VOLTAGE] += (FAST_HYSTERESIS * float(np.median(cell.hysteresis.max_V))) ** 2
+        p[k.P_FAST_VAR] += (FAST_HYSTERESIS * float(np.median(cell.hysteresis.max_V))) ** 2
     p[k.P_RC_REL] = noise.rc_rel_sigma
     _write_lasting_errors(p, cell, tuning)
     p[k.P_HISTORY] = HISTORY * p[k.P_CURRENT_RANGE]
@@ -119,6 +121,7 @@ def _write_lasting_errors(p: Array, cell: CellParams, tuning: Tuning) -> None:
     spec, noise = tuning.sensor_spec, cell.noise
     offset_V = spec.voltage_offset_sigma_V(float(cell.ocv_V(0.5, NOMINAL_DEGC)))
     p[k.P_SLOW_VAR], p[k.P_SLOW_TAU] = SLOW_SIGMA_V**2 + offset_V**2, SLOW_TAU_S
+    p[k.P_SLOW_REL] = SLOW_REL
     p[k.P_SLOW_RATE] = 1 / (SLOW_SOC * p[k.P_CHARGE_COULOMB])
     warmer = R0_PER_K * spec.temperature_sigma_K
     p[k.P_R0_VAR], p[k.P_R0_TAU] = noise.r0_rel_sigma**2 + R0_AGED_SIGMA**2 + warmer**2, R0_TAU_S
@@ -135,7 +138,6 @@ def _write_tuning(p: Array, cell: CellParams, tuning: Tuning, bits: int) -> None
     # With a state of its own the offset is no noise.
     unseen_A = 0.0 if tuning.current_bias else offset_A
     p[k.P_BIAS_SIGMA], p[k.P_BIAS_TAU] = offset_A, tuning.current_error_horizon_s
-    p[k.P_CURRENT_OFFSET] = unseen_A
     p[k.P_ALIKE] = tuning.bias_error_correlation
     p[k.P_STILL], p[k.P_PARASITIC] = capacity_Ah / 400, capacity_Ah / 300
     p[k.P_SOC_WALK_OFFSET] = (unseen_A / charge) ** 2 * tuning.current_error_horizon_s

@@ -118,7 +118,7 @@ def step_components(
         if moves:
             process.relax(p, b, v, mb, B, dt, gaps)
             process.advance(p, b, v, mb, B, dt)
-        share_lead(w, y, b, v, m, mb, c)
+        share_current(p, w, y, b, v, m, mb, c)
         if mb.bias and is_number(y[m.lanes * k.Y_SHOWN + c]):
             fuse_offset(b, v, y[m.lanes * k.Y_SHOWN + c], y[m.lanes * k.Y_SHOWN_VAR + c], mb)
         if fuses:
@@ -154,10 +154,23 @@ def fuse_offset(b: Any, v: Any, shown: Any, variance: Any, mb: Any) -> None:
 
 
 @inline
-def share_lead(w: Any, y: Any, b: Any, v: Any, m: Any, mb: Any, c: int) -> None:
-    """Give components the cell's lead and its polarisation by the current, which a sample in parts must move once."""
+def share_current(p: Any, w: Any, y: Any, b: Any, v: Any, m: Any, mb: Any, c: int) -> None:
+    """Give components what the current alone makes: the lead, the polarisation, and the drop but for r0 over SoC.
+
+    The r0 of a component's own SoC counts for the drop that has stood for some seconds, beyond that of a small load.
+    By the noise of a current sensor, the components of one r0 would have smaller innovations than others at every
+    sample, whatever the voltage says of SoC.
+    """
     W, B = m.lanes, mb.lanes
+    r0 = k.D_R0 if w[W * k.H_THROUGH + c] >= real(w, 0) else k.D_R0_CHARGE
+    of_cell = y[W * (k.Y_DYN + r0) + c]
+    used = w[W * k.H_USED + c] if y[W * k.Y_DROP + c] != real(w, 0) else real(w, 0)
+    small = real(w, ohmic.SMALL_LOAD) * p[k.P_STILL] * of_cell
+    stood = ohmic.beyond(used, small)
     for lane in range(B):
+        v[B * k.Y_DROP + lane] = y[W * k.Y_DROP + c] + stood * (v[B * (k.Y_DYN + r0) + lane] / of_cell - real(w, 1))
+        v[B * k.Y_SCALED + lane] = ohmic.beyond(v[B * k.Y_DROP + lane], small)
+        v[B * k.Y_DROP_SIGMA + lane] = y[W * k.Y_DROP_SIGMA + c]
         v[B * k.Y_LEAD + lane] = y[W * k.Y_LEAD + c]
         for j in range(m.n_rc):
             b[B * (k.H_POLARISED + j) + lane] = w[W * (k.H_POLARISED + j) + c]

@@ -142,12 +142,11 @@ def advance(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
             relax_rc(p, w, y, m, c, j, lost, g, gain, q)
         if m.hysteresis:
             relax_hysteresis(p, w, y, m, c, lost, g, gain, q)
-        error = y[W * (k.Y_DYN + k.D_ERROR) + c]
         for j in range(m.n_pol, m.r0):
             rise, faded = y[W * (k.Y_FALL + j) + c], y[W * (k.Y_FADE + j) + c]
             lost[1 + j] = rise + faded - rise * faded
         g[m.n_v] = g[m.r0] = gain[m.n_v] = gain[m.r0] = real(p, 0)
-        q[m.n_v] = noise_root(p, lost[m.n_v], error * error * p[k.P_SLOW_VAR])
+        q[m.n_v] = noise_root(p, lost[m.n_v], slow_variance(p, w, y, m, c))
         q[m.r0] = noise_root(p, lost[m.r0], p[k.P_R0_VAR])
         if m.bias:
             lost[m.n - 1] = bias_lost
@@ -241,19 +240,41 @@ def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, 
     # What is known of the current is the end of the step if it was just measured, else its beginning.
     to_target = rise if w[W * k.H_CURRENT_AGE + c] <= real(p, 0) else rise - rise * faded
     lost[k.V_RC1 + j] = rise + faded - rise * faded
-    g[k.V_RC1 + j] = -r * to_target
+    g[k.V_RC1 + j] = real(p, 0)
     gain[k.V_RC1 + j] = r * i * to_target
     w[W * (k.H_POLARISED + j) + c] += r * i * to_target - lost[k.V_RC1 + j] * w[W * (k.H_POLARISED + j) + c]
-    # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate. An offset of
-    # the current shifts every drop for good; the slowest process carries that of r0 too.
-    r0 = y[W * (k.Y_DYN + k.D_R0) + c]
+    # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate.
     times = y[W * (k.Y_DYN + k.D_ERROR) + c]
     relative = p[k.P_RC_REL] * r * i
-    shift = p[k.P_CURRENT_OFFSET] * (r + r0 if j == m.n_rc - 1 else r)
     unknown = r * p[k.P_CURRENT_RANGE]
-    stationary = times * times * (p[k.P_VAR_V + j] + relative * relative) + shift * shift
+    stationary = times * times * (p[k.P_VAR_V + j] + relative * relative)
     stationary += unknown * unknown if y[W * k.Y_GAP + c] > real(p, 0) else real(p, 0)
     q[k.V_RC1 + j] = noise_root(p, lost[k.V_RC1 + j], stationary)
+
+
+@inline
+def slow_variance(p: Any, w: Any, y: Any, m: Any, c: int) -> Any:
+    """Of the slow voltage error where it has forgotten its past, V^2.
+
+    The current sensor's offset drops a voltage on every resistance that stays: to the filter a slow error like any
+    other. Diffusion that an equivalent circuit does not follow is in proportion to the polarisation.
+    """
+    W = m.lanes
+    error, offset, polarised = y[W * (k.Y_DYN + k.D_ERROR) + c], offset_drop(p, y, m, c), real(p, 0)
+    for j in range(m.n_rc):
+        polarised += w[W * (k.H_POLARISED + j) + c]
+    follows = p[k.P_SLOW_REL] * polarised
+    return error * error * p[k.P_SLOW_VAR] + offset * offset + follows * follows
+
+
+@inline
+def offset_drop(p: Any, y: Any, m: Any, c: int) -> Any:
+    """One sigma of what the current sensor's offset drops on all resistances, V."""
+    W = m.lanes
+    r = y[W * (k.Y_DYN + k.D_R0) + c]
+    for j in range(m.n_rc):
+        r += y[W * (k.Y_DYN + k.D_RC1 + 2 * j) + c]
+    return p[k.P_BIAS_SIGMA] * r
 
 
 @inline

@@ -29,13 +29,13 @@ from bms_ukf.kernel.layout import (
     V_RC1,
     Y_ALPHA,
     Y_B,
-    Y_DROP_SLOPE,
     Y_FUSE,
     Y_INNOVATION,
     Y_LEAD,
     Y_NOISE,
     Y_PER_VARIANCE,
     Y_PREDICTED,
+    Y_SCALED,
     Y_TRUST,
     Y_VARIANCE,
     tri,
@@ -175,13 +175,10 @@ def innovate(
     z_pred = g0 + e - drop
     for j in range(m.n_v):
         z_pred -= w[W * (m.x + V_RC1 + j) + c]
-    now = drop
+    now = y[W * Y_SCALED + c]
     for j in range(m.n_rc):
         now += w[W * (H_POLARISED + j) + c]
     z_pred -= now * w[W * (m.x + m.r0) + c]
-    slope = y[W * Y_DROP_SLOPE + c]
-    if m.bias:
-        z_pred += slope * w[W * (m.x + m.n - 1) + c]
     alpha = r + e * e * p[P_E2]
     variance = alpha
     for k in range(m.n):
@@ -190,8 +187,6 @@ def innovate(
             b -= w[W * (m.root + tri(j, k)) + c]
         if k <= m.r0:
             b -= y[W * Y_LEAD + c] * w[W * (m.root + tri(m.r0, k)) + c]
-        if m.bias:
-            b += slope * w[W * (m.root + tri(m.n - 1, k)) + c]
         if k == SOC:
             b += p[P_W] * p[P_GAMMA] * (g_plus - g_minus)
         y[W * (Y_B + k) + c] = b

@@ -223,13 +223,13 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
     zero, nan = real(w, 0), real(w, math.nan)
     for c in range(lanes):
         innovation = y[W * k.Y_INNOVATION + c]
-        variance = y[W * k.Y_VARIANCE + c]
+        variance = y[W * k.Y_VARIANCE + c] - y[W * k.Y_CROWDED + c]
         predicted = y[W * k.Y_PREDICTED + c]
         compared = is_number(innovation) & (y[W * k.Y_ALIVE + c] > zero)
         y[W * k.Y_PREDICTED + c] = predicted if compared else nan
         y[W * k.Y_INNOVATION + c] = innovation if compared else nan
         y[W * k.Y_VARIANCE + c] = variance if compared else nan
-        nis = innovation * innovation * y[W * k.Y_PER_VARIANCE + c]
+        nis = innovation * innovation / variance
         y[W * k.Y_NIS + c] = nis if compared else nan
         y[W * k.Y_BIAS + c] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
         r0 = y[W * k.Y_R0 + c]

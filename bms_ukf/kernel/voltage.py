@@ -7,7 +7,7 @@ from typing import Any
 
 from bms_ukf.kernel import bias
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import FAST_S, VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import between_rows, clamp, is_number, ocv_cubic, ocv_interval
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
@@ -57,13 +57,14 @@ def innovations(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     for c in range(lanes):
         z = y[W * k.Y_VOLTAGE + c]
         sigma = y[W * k.Y_DROP_SIGMA + c]
-        # Neither sensor nor model errors are new every millisecond: readings that crowd are each worth less.
-        age = clamp(w[W * k.H_VOLTAGE_AGE + c], real(p, TINY_ROOT), real(p, VOLTAGE_ERROR_S))
-        error = y[W * (k.Y_DYN + k.D_ERROR) + c]
-        r = error * error * p[k.P_VAR_VOLTAGE] + sigma * sigma
-        r *= real(p, VOLTAGE_ERROR_S) / age * w[W * k.H_VOLTAGE_SCALE + c]
+        # Neither sensor nor model errors are new at every reading: readings that crowd are each worth less.
+        age = max(w[W * k.H_VOLTAGE_AGE + c], real(p, TINY_ROOT))
+        error, scale = y[W * (k.Y_DYN + k.D_ERROR) + c], w[W * k.H_VOLTAGE_SCALE + c]
+        noise, fast = error * error * p[k.P_VAR_VOLTAGE] + sigma * sigma, error * error * p[k.P_FAST_VAR]
+        r = noise * max(real(p, VOLTAGE_ERROR_S) / age, real(p, 1)) + fast * max(real(p, FAST_S) / age, real(p, 1))
         # A reading that repeats has the same quantisation error: together they count as one.
-        r /= real(p, 1 + 1 / REPEATS_MOST) - w[W * k.H_REPEATS + c]
+        r *= scale / (real(p, 1 + 1 / REPEATS_MOST) - w[W * k.H_REPEATS + c])
+        y[W * k.Y_CROWDED + c] = r - scale * (noise + fast)
         g0, g_plus, g_minus = y[W * k.Y_OCV_D + c], y[W * (k.Y_OCV_D + 1) + c], y[W * (k.Y_OCV_D + 2) + c]
         innovate(p, w, y, c, m, z, y[W * k.Y_DROP + c], g0, g_plus, g_minus, r)
         if m.bias:
@@ -87,7 +88,9 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         heard = is_number(y[W * k.Y_VOLTAGE + c]) & (y[W * k.Y_ALIVE + c] > zero)
         sound = innovation + y[W * k.Y_VARIANCE + c]
         compared = heard & (sound - sound == zero)
-        accepted = innovation * innovation <= p[k.P_GATE2] * y[W * k.Y_VARIANCE + c]
+        # A single reading is judged by what it may be off by, however little it tells.
+        expected = y[W * k.Y_VARIANCE + c] - y[W * k.Y_CROWDED + c]
+        accepted = innovation * innovation <= p[k.P_GATE2] * expected
         refused = compared & (not accepted)
         fuse = compared & accepted
         since = w[W * k.H_REJECTED_S + c]

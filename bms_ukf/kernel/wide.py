@@ -27,9 +27,9 @@ from bms_ukf.kernel.layout import (
     V_RC1,
     Y_B,
     Y_DROP,
-    Y_DROP_SLOPE,
     Y_LEAD,
     Y_NOISE,
+    Y_SCALED,
     Y_T,
     Y_VOLTAGE,
     tri,
@@ -85,14 +85,11 @@ def quadrature(p: Any, w: Any, y: Any, m: Any, c: int, variance: Any, low: Any, 
     for j in range(V_RC1, V_RC1 + m.n_v):
         rest += w[W * (m.x + j) + c]
         slope += w[W * (m.root + tri(j, SOC)) + c]
-    now = y[W * Y_DROP + c]
+    now = y[W * Y_SCALED + c]
     for j in range(m.n_rc):
         now += w[W * (H_POLARISED + j) + c]
     rest += now * w[W * (m.x + m.r0) + c]
     slope += y[W * Y_LEAD + c] * w[W * (m.root + tri(m.r0, SOC)) + c]
-    if m.bias:
-        rest -= y[W * Y_DROP_SLOPE + c] * w[W * (m.x + m.n - 1) + c]
-        slope -= y[W * Y_DROP_SLOPE + c] * w[W * (m.root + tri(m.n - 1, SOC)) + c]
     soc = w[W * (m.x + SOC) + c]
     sigma = w[W * m.root + c]
     least = real(w, math.inf)

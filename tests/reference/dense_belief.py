@@ -15,6 +15,8 @@ from scipy.special import ndtr
 from bms_ukf import CellParams, Tuning
 from bms_ukf.kernel import histories
 from bms_ukf.kernel import layout as k
+from bms_ukf.kernel.adapt import FAST_S
+from bms_ukf.kernel.ohmic import SMALL_LOAD
 from bms_ukf.kernel.params import params
 
 Array = NDArray[np.float64]
@@ -52,7 +54,8 @@ class DenseBelief:
         if hysteresis:
             self.P[:, 1 + n_rc, 1 + n_rc] = error2 * p[k.P_VAR_V + n_rc] + self.largest**2 / 3
         slow = self.n - 3
-        self.P[:, slow, slow] = np.maximum(error2, 1) * p[k.P_SLOW_VAR] * np.where(loaded, histories.LOADED_SLOW**2, 1)
+        slow_var = np.maximum(error2, 1) * error2 * p[k.P_SLOW_VAR] + self.offset_V**2
+        self.P[:, slow, slow] = slow_var * np.where(loaded, histories.LOADED_SLOW**2, 1)
         self.P[:, slow + 1, slow + 1] = p[k.P_R0_VAR]
         self.P[:, slow + 2, slow + 2] = p[k.P_BIAS_SIGMA] ** 2
         mean, sigma = prior.get("mean", p[k.P_INITIAL_SOC]), prior.get("sigma", p[k.P_INITIAL_SIGMA])
@@ -78,7 +81,6 @@ class DenseBelief:
         for j in range(n_rc):
             a = np.exp(-dt / self.tau[j])
             A[:, 1 + j, 1 + j] = a
-            A[:, 1 + j, -1] = -self.r[j] * (1 - a)
             move[:, 1 + j] = self.r[j] * current_A * (1 - a)
             self.polarised[j] = a * self.polarised[j] + move[:, 1 + j]
             stationary = error2 * (p[k.P_VAR_V + j] + (p[k.P_RC_REL] * self.r[j] * current_A) ** 2)
@@ -88,7 +90,10 @@ class DenseBelief:
             A[:, 1 + n_rc, 1 + n_rc] = a
             move[:, 1 + n_rc] = (1 - a) * self.largest * (1 if current_A >= 0 else -1)
             Q[:, 1 + n_rc] = (1 - a**2) * error2 * p[k.P_VAR_V + n_rc]
-        stationaries = (error2 * p[k.P_SLOW_VAR], p[k.P_R0_VAR], p[k.P_BIAS_SIGMA] ** 2)
+        slow_var = (
+            error2 * p[k.P_SLOW_VAR] + self.offset_V**2 + (p[k.P_SLOW_REL] * self._common(sum(self.polarised))) ** 2
+        )
+        stationaries = (slow_var, p[k.P_R0_VAR], p[k.P_BIAS_SIGMA] ** 2)
         moved = abs(current_A)
         slow, r0 = p[k.P_SLOW_RATE] * moved + 1 / p[k.P_SLOW_TAU], p[k.P_R0_RATE] * moved + 1 / p[k.P_R0_TAU]
         rates = slow, r0, 1 / p[k.P_BIAS_TAU]
@@ -116,26 +121,38 @@ class DenseBelief:
         self.r0, self.r0_charge, self.knee, self.error = values[:4]
         self.r, self.tau = values[4 : 4 + 2 * self.n_rc : 2], values[5 : 4 + 2 * self.n_rc : 2]
         self.largest = values[-1] if self.cell.hysteresis else None
+        self.offset_V = self.p[k.P_BIAS_SIGMA] * (self.r0 + sum(self.r))
+
+    def _common(self, values: Array) -> float:
+        """What one Gaussian of all hypotheses would read: `values` at their mean SoC."""
+        weight = np.exp(self.log_weight - self.log_weight.max())
+        soc = self.start + self.x[:, 0]
+        half = len(soc) // 2
+        return float(np.interp(weight @ soc / weight.sum(), soc[:half], np.broadcast_to(values, soc.shape)[:half]))
 
     def _fuse(self, current_A: float, voltage_V: float, degC: float, dt: float = 1.0) -> None:
         p, n = self.p, self.n
         r0 = self.r0 if current_A >= 0 else self.r0_charge
         drop = r0 * self.knee * np.arcsinh(current_A / self.knee)
-        slope = r0 * (1 + self.x[:, -2]) / np.sqrt(1 + (current_A / self.knee) ** 2)
+        common, common_r0 = (self._common(values) for values in (drop, r0)) if self.seen else (drop, r0)
+        self.recent = self.recent if self.seen else drop
+        small = SMALL_LOAD * p[k.P_STILL] * common_r0
+        drop = common + beyond(self.recent, small) * (r0 / common_r0 - 1)
         soc, h = self.start + self.x[:, 0], 1e-4
         ocv = self.cell.ocv_V(soc, degC)
         H = np.full((len(soc), n), -1.0)
         H[:, 0] = (self.cell.ocv_V(soc + h, degC) - self.cell.ocv_V(soc - h, degC)) / (2 * h)
-        if not self.seen:
-            self.recent = drop
-        now = drop + sum(self.polarised)
-        H[:, -2], H[:, -1] = -(self.recent + sum(self.polarised)), slope
-        expected = ocv - drop - now * self.x[:, -2] - self.x[:, 1 : n - 2].sum(axis=1) + slope * self.x[:, -1]
-        fast = p[k.P_FAST_REL] * (drop - self.recent)
-        self.recent = self.recent + (drop - self.recent) * dt / (dt + RECENT_S)
+        polarised = self._common(sum(self.polarised)) if self.seen else 0.0
+        H[:, -2], H[:, -1] = -(beyond(self.recent, small) + polarised), 0.0
+        now = beyond(drop, small) + polarised
+        expected = ocv - drop - now * self.x[:, -2] - self.x[:, 1 : n - 2].sum(axis=1)
+        fast = p[k.P_FAST_REL] * (common - self.recent)
+        self.recent = self.recent + (common - self.recent) * dt / (dt + RECENT_S)
         self.same += (float(voltage_V == self.last) - self.same) * dt / (dt + REPEATS_S)
         self.last = voltage_V
-        r = (self.error**2 * p[k.P_VAR_VOLTAGE] + fast**2) / (1 + 1 / 300 - self.same)
+        crowd = FAST_S / dt if self.seen else 1.0
+        r = self.error**2 * (p[k.P_VAR_VOLTAGE] + crowd * p[k.P_FAST_VAR]) + fast**2
+        r /= 1 + 1 / 300 - self.same
         PH, self.P0 = np.einsum("pij,pj->pi", self.P, H), self.P[:, 0, 0].copy()
         S = np.einsum("pi,pi->p", H, PH) + r
         innovation = voltage_V - expected
@@ -150,3 +167,7 @@ class DenseBelief:
             self.log_weight -= 0.5 * (innovation**2 / S + np.log(S))
         self.log_weight -= self.log_weight.max()
         self.seen = True
+
+
+def beyond(drop: Array, small: Array) -> Array:
+    return drop - np.clip(drop, -small, small)
