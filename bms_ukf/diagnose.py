@@ -95,7 +95,7 @@ def diagnose(cell: CellParams, soc: float = 0.5, sigma: float = 0.1, temperature
         "positive_definite": _positive_definite(
             1 + len(sigmas),
             1e3 * (bias["medium"]["ukf"]["mean_V"] - curve.at(soc)),
-            1e6 * white_var_V2,
+            1e6 * (noise_var_V2 + fast_var_V2),
             tuning,
         ),
         "observability": [_observability(curve, at, error_V) for at in np.linspace(0, 1, SLOPE_POINTS).tolist()],

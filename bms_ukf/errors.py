@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 PlantFailure = Literal["hang", "crash", "nan", "refused", "memory"]
 
@@ -27,6 +28,11 @@ class ConfigError(BmsError):
         found = ":" if value is None else f" is {_short(value)};"
         super().__init__(" ".join(f"{place}{found} expected {expected}".split()))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """An error of a process of a pool is pickled, which by itself would give back `args` alone."""
+        again = partial(ConfigError, expected=self.expected, key=self.key, value=self.value)
+        return again, (self.source,)
+
 
 class PlantError(BmsError):
     """A plant that could be described failed while starting or running.
@@ -38,6 +44,9 @@ class PlantError(BmsError):
     def __init__(self, text: str, kind: PlantFailure) -> None:
         self.kind = kind
         super().__init__(" ".join(text.split()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PlantError, (str(self), self.kind)
 
 
 def _short(value: object, limit: int = 60) -> str:

@@ -1,14 +1,16 @@
 """The honesty campaign: situations that repeat, figures by definition, goals with an allowance, and its command."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
 
 from bms_ukf import Status
-from bms_ukf.campaign import classes, course, figures, goals, library, run, sensing, traces, view
+from bms_ukf.campaign import classes, command, course, figures, goals, library, run, sensing, traces, view
 from bms_ukf.campaign.run import Published
 from bms_ukf.campaign.situation import Failure, Situation
+from bms_ukf.errors import ConfigError, PlantError
 from bms_ukf.manifest import DATA_FOLDER
 from bms_ukf.records import Fault
 
@@ -263,3 +265,19 @@ def test_without_recordings_the_plants_are_those_with_committed_traces(monkeypat
 
 def test_every_goal_has_words():
     assert {goal.figure for name in classes.CLASSES for goal in goals.of(name)} <= set(view.WORDS)
+
+
+def test_an_error_in_a_process_of_its_own_comes_back_as_it_was():
+    for error in (ConfigError("a.toml", key="b", value=3, expected="less"), PlantError("it hangs", "hang")):
+        again = pickle.loads(pickle.dumps(error))
+        assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+def test_classes_that_the_plants_asked_for_cannot_serve_are_left_out(monkeypatch):
+    drives_only = [name for name in library.names("mohtat2020") if "/drive_" in name]
+    monkeypatch.setattr(library, "names", lambda plant: drives_only)
+    wanted = command.plan(plants=("mohtat2020",))
+    assert "start_in_drive" in wanted.names
+    assert "packs" not in wanted.names
+    with pytest.raises(ConfigError, match="can be cut for"):
+        command.plan("packs", plants=("mohtat2020",))

@@ -85,6 +85,15 @@ def situation(name: str, seed: int, given: Sequence[str] = ()) -> Situation:
     raise ConfigError(name, value=seed, expected="a trace to cut it from")
 
 
+def possible(name: str, given: Sequence[str]) -> bool:
+    """Return whether a trace of these plants serves a class at all."""
+    try:
+        situation(name, 0, given)
+    except ConfigError:
+        return False
+    return True
+
+
 def in_turn(name: str, what: str, seed: int, values: Sequence[str]) -> str:
     """Return one of `values`: every block of as many seeds has each once, in an order of its own."""
     block, place = divmod(seed, len(values))

@@ -45,8 +45,14 @@ def plan(
     runs: int | None = None,
     plants: Sequence[str] = (),
 ) -> Plan:
-    """Return the runs that a user asked for. ConfigError for a class, a seed or a plant that does not exist."""
-    names, among = tuple(classes.named(name)), classes.plants(plants)
+    """Return the runs that a user asked for. ConfigError for a class, a seed or a plant that does not exist.
+
+    On the plants that were asked for, classes are left out that need a trace none of them has, as a pack's.
+    """
+    among = classes.plants(plants)
+    names = tuple(each for each in classes.named(name) if not plants or classes.possible(each, among))
+    if not names:
+        raise ConfigError("--class", value=name, expected=f"a class that traces of {', '.join(among)} can be cut for")
     if seed is not None:
         first, runs, quick = seed, 1, True
     runs = runs or (QUICK_RUNS if quick else RUNS)

@@ -189,7 +189,7 @@ def prior(w: Any, soc: Any, mean: Any, sigma: Any, stray: Any) -> Any:
 
 @inline
 def reached(sums: Any, found: int, best: Any) -> tuple[Any, Any]:
-    """The lower end of the fine intervals that a first voltage leaves some mass, and the width of the intervals of one history over them."""
+    """Return where a first voltage leaves mass: the lower end, and the width of one history's intervals over it."""
     one = real(sums, 1)
     fine = one / real(sums, FINE * PARTS)
     low, high = one, real(sums, 0)

@@ -34,19 +34,19 @@ COMPACT = Grid(ocv_intervals=100, dyn_intervals=20, temperature_step_K=10.0)  # 
 
 # Errors of an equivalent circuit that last: one sigma, and how far in time and in SoC they stay the same. Chosen over
 # the plants of the honesty campaign, not for one cell file (`bms-ukf campaign`).
-SLOW_SIGMA_V = 0.005  # diffusion, hysteresis and OCV
+SLOW_SIGMA_V = 0.004  # diffusion, hysteresis and OCV
 SLOW_REL = 0.15  # and a share of the polarisation
 SLOW_TAU_S, SLOW_SOC = 7200.0, 0.1
-R0_AGED_SIGMA = 0.2  # all resistances of an aged cell, relative
+R0_AGED_SIGMA = 0.18  # all resistances of an aged cell, relative
 R0_TAU_S, R0_SOC = 20_000.0, 0.6
 R0_PER_K = 0.03  # how fast a resistance changes with temperature, relative
 # Errors that pass within FAST_S.
 FAST_SIGMA_V = 0.005
-FAST_HYSTERESIS = 0.6  # of the largest hysteresis voltage: how far a one-state model of it is off
+FAST_HYSTERESIS = 0.5  # of the largest hysteresis voltage: how far a one-state model of it is off
 FAST_REL = 0.3  # after a change of the current, as a share of the change of the ohmic drop
 
 MOVED = 0.5  # of the capacity: a walk of SoC from an unknown gain is here as wide as the error of that gain
-HISTORY = 0.5  # of the cell's current range: one sigma of the mean load before a first sample
+HISTORY = 0.35  # of the cell's current range: one sigma of the mean load before a first sample
 
 SOC_SIGMA_MIN = 1e-4  # no reading of an OCV curve is better
 SOC_SIGMA_MAX = 0.5  # of a quantity between 0 and 1: more says nothing

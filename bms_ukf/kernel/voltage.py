@@ -8,7 +8,7 @@ from typing import Any
 from bms_ukf.kernel import bias
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.adapt import FAST_S, VOLTAGE_ERROR_S
-from bms_ukf.kernel.ecm import between_rows, clamp, is_number, ocv_cubic, ocv_interval
+from bms_ukf.kernel.ecm import between_rows, is_number, ocv_cubic, ocv_interval
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
 from bms_ukf.kernel.process import TINY_ROOT
