@@ -2,9 +2,10 @@
 
     drop = r0 knee asinh(i / knee)
 
-The relative error of r0 is a state. The measurement depends on it by the drop that has stood for RECENT_S, not by that
-of this sample: the noise of a current sensor moves the prediction and not the cell, and would drive r0 to nothing.
-For the same reason a drop scales with that error only beyond the drop of a small load.
+The relative error of r0 is a state. Everything here is by the cell file's r0: `srukf.by_belief` applies the state after
+the time update, so all parts of one sample use the same r0. The measurement depends on the state by the drop that has
+stood for RECENT_S, not by that of this sample: the noise of a current sensor moves the prediction and not the cell, and
+would drive r0 to nothing. For the same reason a drop scales with that error only beyond the drop of a small load.
 
 The logarithm is taken of a small argument: halvings of it bring the block's largest i / knee into the reach of a
 polynomial, so a block whose currents are far below the knee takes no square root at all.
@@ -54,9 +55,6 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         r0, u = y[W * k.Y_R0 + c], y[W * k.Y_OHMIC + c]
         ohmic = r0 * y[W * (k.Y_DYN + k.D_KNEE) + c] * (times * asinh_small(p, u / y[W * k.Y_SCALE + c]))
         small = r0 * real(p, SMALL_LOAD) * p[k.P_STILL]
-        error = w[W * (m.x + m.r0) + c]
-        r0 *= one + (error if error - error == zero else zero)
-        slope = r0 / math.sqrt(one + u * u)
         recent = w[W * k.H_RECENT + c]
         alive = y[W * k.Y_ALIVE + c] > zero  # before a belief the temperature may not be known yet
         recent = recent if (recent - recent == zero) & alive else ohmic
@@ -70,11 +68,11 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         w[W * k.H_USED + c], w[W * k.H_LEAD + c] = used, led
         stale = w[W * k.H_CURRENT_AGE + c] > real(p, LEADS_S)
         y[W * k.Y_LEAD + c] = zero if unknown | stale else led
-        y[W * k.Y_R0 + c] = r0
         y[W * k.Y_DROP + c] = zero if unknown else ohmic
         y[W * k.Y_SCALED + c] = zero if unknown else beyond(ohmic, small)
         # An unknown current is not a new one at every sample: its drop counts as one error that lasts LASTS_S.
-        fast, moved = p[k.P_FAST_REL] * (ohmic - used), slope * real(p, STALE) * p[k.P_EXCITED]
+        fast = p[k.P_FAST_REL] * (ohmic - used)
+        moved = r0 / math.sqrt(one + u * u) * real(p, STALE) * p[k.P_EXCITED]
         fast = math.sqrt(fast * fast + moved * moved) if stale else fast
         y[W * k.Y_DROP_SIGMA + c] = lasting * ohmic if unknown else fast
         w[W * k.H_RECENT + c] = recent if unknown else recent + (ohmic - recent) * passed

@@ -67,6 +67,12 @@ def add(w: Any, c: int, m: Any, j: int, increment: Any) -> None:
 
 
 @inline
+def by_belief(w: Any, c: int, m: Any, of_file: Any) -> Any:
+    """What is in proportion to r0, `of_file` by the cell file's, by that of the belief."""
+    return of_file * (real(w, 1) + w[m.lanes * (m.x + m.r0) + c])
+
+
+@inline
 def predict(w: Any, c: int, m: Any, lost: Any, g: Any, gain: Any, q: Any) -> None:
     """Time update: x <- A x + gain, sqrt_P <- tria([A sqrt_P, diag(q)]), A = I - diag(lost) + g e_bias^T; (n,) each.
 

@@ -16,6 +16,7 @@ from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.ecm import clamp, is_number
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
+from bms_ukf.kernel.srukf import by_belief
 from bms_ukf.kernel.wide import update_wide
 from bms_ukf.records import Fault, Status
 
@@ -232,7 +233,7 @@ def publish(w: Any, y: Any, io: Any, first: int, rows: int, m: Any, lanes: int) 
         nis = innovation * innovation / variance
         y[W * k.Y_NIS + c] = nis if compared else nan
         y[W * k.Y_BIAS + c] = w[W * (m.x + m.n - 1) + c] if m.bias else nan
-        r0 = y[W * k.Y_R0 + c]
+        r0 = by_belief(w, c, m, y[W * k.Y_R0 + c])
         y[W * k.Y_R0 + c] = r0 if y[W * k.Y_ALIVE + c] > zero else nan
     # A row at a time: rows that might overlap would take more checks than LLVM is ready to make.
     show(io, rows * k.OUT_SOC + first, y, W * k.Y_SOC, lanes)

@@ -148,9 +148,9 @@ class Cell:
         a_slow = self.kept(dt, i, figures.SLOW_TAU_S, figures.SLOW_SOC)
         a_r0 = self.kept(dt, i, figures.R0_TAU_S, figures.R0_SOC)
         drop, slope = self.drop(at, i)
-        # The lead and the slope are those before this sample's noise.
+        # The lead is that before this sample's noise.
         self.lead = self.recent + self.polarised.sum()
-        self.slope = slope * (1 + self.ukf.x[self.r0])
+        self.slope = slope
         self.fast_sigma = self.fast * (drop - self.recent)
         self.recent += (drop - self.recent) * dt / (dt + RECENT_S)
         self.polarised = decays * self.polarised + (1 - decays) * resistances * i
@@ -197,12 +197,12 @@ class Cell:
         variance /= 1 + 1 / REPEATS_MOST - self.repeats
         self.age = 0.0
         bias, error = self.tuning.current_bias, self.ukf.x[self.r0]
-        now = drop + self.polarised.sum()
+        now, slope = drop + self.polarised.sum(), self.slope * (1 + error)
 
         def h(x: Array) -> float:
             # The prediction has the current of now, its slope over the r0 error that of before. The bias moves the drop
             # by little: straight in it.
-            ohmic = drop + now * error + self.lead * (x[self.r0] - error) - (self.slope * x[-1] if bias else 0.0)
+            ohmic = drop + now * error + self.lead * (x[self.r0] - error) - (slope * x[-1] if bias else 0.0)
             return self.ocv(x[0], temperature) - float(x[1 : self.r0].sum()) - ohmic
 
         if not bias:
