@@ -34,7 +34,8 @@ def start(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
             before = math.sqrt(p[k.P_INITIAL_CURRENT] * p[k.P_INITIAL_CURRENT] + half * half)
             believe(p, w, y, m, c, p[k.P_INITIAL_SOC], p[k.P_INITIAL_SIGMA], before)
             w[W * k.H_GAP_S + c] = real(w, 0)
-            w[W * k.H_CORE_RISE + c] = w[W * k.H_SOC_WALK + c] = w[W * k.H_PARTS + c] = real(w, 0)
+            w[W * k.H_CORE_RISE + c] = w[W * k.H_CORE_USED + c] = real(w, 0)
+            w[W * k.H_SOC_WALK + c] = w[W * k.H_PARTS + c] = real(w, 0)
             w[W * k.H_UNSEEN_S + c] = real(w, 0)
             for j in range(k.N_RC_MAX):
                 w[W * (k.H_POLARISED + j) + c] = real(w, 0)

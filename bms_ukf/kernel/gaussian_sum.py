@@ -104,6 +104,9 @@ def share_inputs(w: Any, y: Any, b: Any, v: Any, m: Any, c: int, mb: Any) -> Non
         held = w[W * slot + c]
         for lane in range(B):
             b[B * slot + lane] = held
+    if m.core:  # the cell's own step has warmed it already
+        for lane in range(B):
+            b[B * k.H_CORE_RISE + lane] = b[B * k.H_CORE_USED + lane]
     known, gap, volts = y[W * k.Y_KNOWN + c], y[W * k.Y_GAP + c], y[W * k.Y_VOLTAGE + c]
     walked, since = y[W * k.Y_WALK + c], y[W * k.Y_SINCE_HEARD + c]
     for lane in range(B):

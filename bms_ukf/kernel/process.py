@@ -48,7 +48,10 @@ def schedule(p: Any, s: Any, o: int, w: Any, y: Any, m: Any, lanes: int) -> None
             soc += soc_per_ampere(p, w, y, m, c) * w[W * (m.x + m.n - 1) + c]
         T = w[W * k.H_TEMPERATURE + c]
         if m.core:
-            rise = w[W * k.H_CORE_RISE + c]
+            moves = y[W * k.Y_KNOWN + c] + y[W * k.Y_GAP + c] > zero
+            rise, used = w[W * k.H_CORE_RISE + c], w[W * k.H_CORE_USED + c]
+            rise = rise if moves else used
+            w[W * k.H_CORE_USED + c] = rise
             T += rise if alive else zero
         sound = (soc - soc == zero) | (not alive)  # else the step will be refused: no index must come of it
         soc = soc if alive & sound else initial
