@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from bms_ukf.kernel import gaussian_sum as gs
@@ -74,10 +75,16 @@ def quantile(sums: Any, mass: Any) -> Any:
 
 @inline
 def release(p: Any, w: Any, y: Any, m: Any, c: int) -> None:
-    """Let the cell's Gaussian take over where it has the bounds of the components, away from the ends of SoC."""
+    """Let the cell's Gaussian take over where it has the bounds of the components, away from the ends of SoC.
+
+    It is then published at once: another part of this sample will show it, too.
+    """
     W = m.lanes
     mean, reach = w[W * m.x + c], real(w, NORMAL) * w[W * m.root + c]
     away = max(abs(mean - reach - y[W * k.Y_PARTS_LOW + c]), abs(mean + reach - y[W * k.Y_PARTS_HIGH + c]))
     same = away < real(w, SAME_SOC)
     narrow = w[W * m.root + c] < real(w, RELEASE) * p[k.P_WIDE_SIGMA]
-    w[W * k.H_PARTS + c] = real(w, 0) if same & narrow else real(w, 1)
+    released = same & narrow
+    w[W * k.H_PARTS + c] = real(w, 0) if released else real(w, 1)
+    low = y[W * k.Y_PARTS_LOW + c]
+    y[W * k.Y_PARTS_LOW + c] = real(w, math.nan) if released else low

@@ -3,8 +3,9 @@
 A first voltage, a gap, a voltage refused for long and a plateau of the OCV leave SoC with several explanations. Then
 PARTS components carry the posterior: each is a Gaussian of all states with a narrow SoC of its own, and a weight
 (`gaussian_sum`). Each component takes the same step as a cell's Gaussian, with its own tables, so these loops run the
-functions of the filter over components as lanes. The likelihood of every voltage multiplies the weights. The cell's x
-and sqrt_P stay the mean and the covariance of the sum; once its bounds are those of a Gaussian, that takes over again.
+functions of the filter over components as lanes. The likelihood of every voltage multiplies the weights. With
+every voltage the cell's x and sqrt_P become the mean and the covariance of the sum; between voltages they are predicted
+as one Gaussian. Once the bounds of the sum are those of a Gaussian, that takes over again.
 """
 
 from __future__ import annotations
@@ -67,20 +68,21 @@ def step_one(
     if begins | (not held):
         gs.forget_tables(s, at, mb)
         w[W * k.H_PART_WALK + c] = w[W * k.H_PART_S + c] = zero
-    moves = held & (dt > zero)
+    moves = held & (dt > zero) & (not begins)
     if begins:
+        y[W * k.Y_KNOWN + c] = zero  # they begin at this instant: no charge is to flow before their voltage
         histories.begin(p, s, at, w, y, b, v, sums, m, c, doubted)
     else:
         if not held:
             gs.become_one(s, at, w, m, mb, c)
             gs.cut(s, at, w, sums, m, mb, c, 1, fuses)
         step_components(p, s, at, w, y, b, v, sums, m, c, dt, gaps, moves, fuses)
+    w[W * k.H_PART_S + c] += dt if moves else zero
     if fuses:
         w[W * k.H_VOLTAGE_AGE + c] = w[W * k.H_UNSEEN_S + c] = w[W * k.H_FRESH + c] = zero
         w[W * k.H_REJECTED_S + c] = real(w, math.nan)
-    w[W * k.H_PART_S + c] += dt
-    if moves | fuses:
-        gs.cut(s, at, w, sums, m, mb, c, 0, fuses)  # with a voltage only: a sample may come in parts
+        # With a voltage only: the cell's Gaussian then meets it predicted, whether its sample comes whole or in parts.
+        gs.cut(s, at, w, sums, m, mb, c, 0, fuses)
     bounds.describe(s, at, y, sums, m, mb, c, w[W * m.x + c])
     if fuses:
         bounds.release(p, w, y, m, c)
