@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -17,7 +18,7 @@ from bms_ukf.config import Setup
 from bms_ukf.core import Core
 from bms_ukf.dbc import own_matrix
 from bms_ukf.decoder import Decoder
-from bms_ukf.flight import Recorder
+from bms_ukf.flight import FORMAT, Recorder
 from bms_ukf.frames import Inbox
 from bms_ukf.intake import Intake
 from bms_ukf.monitor import view
@@ -343,30 +344,32 @@ def test_the_bias_of_each_string_goes_out_on_pages_that_no_receiver_refuses():
     assert message.frame_id not in alone
 
 
-def test_a_flight_with_strings_runs_again_bit_for_bit_and_one_of_format_1_is_still_read(tmp_path):
-    for strings in (2, 1):
-        estimator = Estimator(CELL, 4, wiring=WIRING if strings == 2 else None)
-        recorder, estimate = Recorder(estimator, tmp_path), estimator.coast(0)
-        for k in range(1, 50):
-            sample = Sample(k * SECOND_NS, 1.0, np.full(4, 3.7 + 0.001 * k), 25.0, k % 5 == 0)
-            if strings == 2:
-                sample.string_current_A = np.array([1.0, NAN if k % 3 else 2.0])
-            estimator.step(sample, out=estimate)
-            recorder.stepped(sample, estimate)
-        data = recorder.file(Fault.NONE)
-        if strings == 1:
-            data = data.replace(b'{"format": 2', b'{"format": 1', 1).replace(b', "string_of": null', b"", 1)
-        (tmp_path / "x.flight").write_bytes(data)
-        trace, summary = flight.rerun(tmp_path / "x.flight")
-        assert summary["identical"] is True
-        assert trace["current_A"][-1] == (3.0 if strings == 2 else 1.0)
+@pytest.mark.parametrize("wiring", [WIRING, None], ids=["two strings", "one string"])
+def test_a_flight_with_strings_runs_again_bit_for_bit_as_does_one_without(tmp_path, wiring):
+    estimator = Estimator(CELL, 4, wiring=wiring)
+    recorder, estimate = Recorder(estimator, tmp_path), estimator.coast(0)
+    recorder.coasted(0, estimate)  # as the daemon does: the first step has a length from here on
+    for k in range(1, 50):
+        sample = Sample(k * SECOND_NS, 1.0, np.full(4, 3.7 + 0.001 * k), 25.0, k % 5 == 0)
+        if wiring is not None:
+            sample.string_current_A = np.array([1.0, NAN if k % 3 else 2.0])
+        estimator.step(sample, out=estimate)
+        recorder.stepped(sample, estimate)
+    (tmp_path / "x.flight").write_bytes(recorder.file(Fault.NONE))
+    trace, summary = flight.rerun(tmp_path / "x.flight")
+    assert summary["identical"] is True
+    assert trace["current_A"][-1] == (3.0 if wiring is not None else 1.0)
 
 
-def test_a_flight_of_a_later_format_is_one_line(tmp_path):
-    data = Recorder(Estimator(CELL, 4, wiring=WIRING), tmp_path).file(Fault.NONE)
-    (tmp_path / "x.flight").write_bytes(data.replace(b'{"format": 2', b'{"format": 3', 1))
-    with pytest.raises(ConfigError, match="of another format"):
+@pytest.mark.parametrize("other", [FORMAT - 1, FORMAT + 1], ids=["older", "later"])
+def test_a_flight_of_an_older_or_a_later_format_is_one_line(tmp_path, other):
+    """The snapshots in an older file are those of another filter."""
+    head, _, body = Recorder(Estimator(CELL, 4, wiring=WIRING), tmp_path).file(Fault.NONE).partition(b"\n")
+    head = json.dumps(json.loads(head) | {"format": other}).encode()
+    (tmp_path / "x.flight").write_bytes(head + b"\n" + body)
+    with pytest.raises(ConfigError, match="of another format") as refused:
         flight.rerun(tmp_path / "x.flight")
+    assert "\n" not in str(refused.value)
 
 
 def test_rows_of_a_trace_have_the_sum_of_what_each_string_carried_last():
