@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import synthetic_cell
+from drives import terminal
 
 from bms_ukf import CellParams, Estimator, Tuning
 from bms_ukf.offline.estimators import prepare
@@ -61,16 +62,24 @@ def test_on_a_linear_cell_the_ekf_is_the_kalman_filter() -> None:
     assert found["soc_sigma"] == pytest.approx(sigma, rel=1e-6)
 
 
-def test_on_a_linear_cell_ours_and_the_ekf_agree_but_for_errors_that_last() -> None:
-    """Same circuit, same sensors, same start. Ours doubts the curve and the resistances, too, so it is the wider."""
+@pytest.mark.parametrize("at_first", [0.7, 0.71])
+def test_on_a_linear_cell_ours_and_the_ekf_agree_but_for_errors_that_last(at_first: float) -> None:
+    """Same circuit, sensors and start, and voltages of that circuit: no error lasts, and the two need not differ.
+
+    Ours doubts the curve, the resistances and the start, too, so it is the wider.
+    """
     given, told = signals(), Told(0.7, 0.015)
+    soc, voltage_V = terminal(LINEAR, at_first, given.current_A)
+    given.voltage_V[:] = voltage_V + 0.003 * np.random.default_rng(1).standard_normal(len(voltage_V))
     tuning = Tuning(gate_sigmas=1e6, current_bias=False, adaptive=False)
     ours, ekf = (prepare(name, LINEAR, tuning)(given, told) for name in ("srukf", "ekf"))
     apart = np.abs(ours["soc"] - ekf["soc"])
     assert np.all(apart < ours["soc_sigma"])
-    assert np.all(apart < 0.005)
-    assert np.all(ours["soc_sigma"][60:] > ekf["soc_sigma"][60:])
-    assert np.all(ours["soc_sigma"] < 0.02)
+    assert np.all(apart < 0.01)
+    assert np.all(ours["soc_sigma"] > ekf["soc_sigma"])
+    assert np.all(ours["soc_sigma"] < 0.025)
+    for found in (ours, ekf):
+        assert np.all(np.abs(found["soc"] - soc) < 1.5 * found["soc_sigma"])
 
 
 def test_the_ekf_refuses_an_outlier_and_finds_its_way_when_it_was_soc_that_was_wrong() -> None:
