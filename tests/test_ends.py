@@ -31,7 +31,11 @@ def tapered(cell: CellParams, soc: np.ndarray, current_A: np.ndarray) -> tuple[n
 @pytest.mark.parametrize("efficiency", [0.97, 1.0])
 @pytest.mark.parametrize(("cell", "told"), [(CELL, 0.75), (CELL, 0.95), (PLATEAU, 0.85), (PLATEAU, 0.95)])
 def test_a_taper_at_the_upper_limit_tells_a_full_cell_whatever_the_charge_efficiency(cell, efficiency, told):
-    """From 85 % to full, the current halving every 20 minutes at the end; efficiency is only what the file says."""
+    """From 85 % to full, the current halving every 20 minutes at the end; efficiency is only what the file says.
+
+    The OCV of CELL rises by 3 mV in the last percent; a voltage is good for 8 mV. SoC is the mean of what is left of
+    the belief below full. Of half a Gaussian at an end, that is 1.4 `soc_sigma` away from this end.
+    """
     limits = cell.cell.model_copy(update={"coulombic_efficiency": efficiency})
     believed = cell.model_copy(update={"cell": limits})
     charge = cell.cell.capacity_Ah * 3600
@@ -43,7 +47,9 @@ def test_a_taper_at_the_upper_limit_tells_a_full_cell_whatever_the_charge_effici
         soc.append(z)
     estimator = Estimator(believed, tuning=Tuning(initial_soc=told, initial_soc_sigma=0.1))
     got = estimator.replay(*tapered(cell, np.array(soc), np.array(current)))
-    assert got["soc"][-1] == pytest.approx(soc[-1], abs=0.01)
+    assert got["soc"][-1] == pytest.approx(soc[-1], abs=max(0.01, 1.6 * got["soc_sigma"][-1]))
+    assert got["soc_low"][-1] > 0.96
+    assert got["soc_high"][-1] > 0.999
 
 
 @pytest.mark.parametrize("told", [0.05, 0.35])
