@@ -187,13 +187,14 @@ def bound(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
     """Keep beliefs within their bounds, and note which of them read tables beyond their edges."""
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
-    slack, beyond, least = real(p, SOC_SLACK), real(p, SOC_BEYOND), p[k.P_SOC_SIGMA_MIN]
+    slack, beyond = real(p, SOC_SLACK), real(p, SOC_BEYOND)
+    least, most = p[k.P_SOC_SIGMA_MIN], p[k.P_SOC_SIGMA_MAX]  # the sum of components may be wider
     for c in range(lanes):
         alive = y[W * k.Y_ALIVE + c] > zero
         soc = w[W * (m.x + k.SOC) + c]
         w[W * (m.x + k.SOC) + c] = clamp(soc, -beyond, one + beyond)
         sigma = w[W * m.root + c]
-        w[W * m.root + c] = least if sigma < least else sigma
+        w[W * m.root + c] = clamp(sigma, least, most)
         T = w[W * k.H_TEMPERATURE + c]
         within = (p[k.P_TABLE_TEMPERATURE_MIN] <= T) & (p[k.P_TABLE_TEMPERATURE_MAX] >= T)
         within = within & (-slack <= soc) & (soc <= one + slack)
