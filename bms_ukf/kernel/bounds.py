@@ -19,6 +19,7 @@ TAIL = 0.025
 SAME_SOC = 0.001  # quantiles that a Gaussian may move when it takes over
 RELEASE = 0.75  # of the sigma at which components take over
 BISECTIONS = 14
+ANYWHERE = 0.49  # a sigma is kept below 0.5 (P_SOC_SIGMA_MAX), so one near it stands for any SoC
 
 
 @inline
@@ -29,7 +30,8 @@ def describe(s: Any, at: int, y: Any, sums: Any, m: Any, mb: Any, c: int, centre
     # `sums` gets the lower end, 1 / length and weight of each component, as uniform in SoC.
     for j in range(PARTS):
         o, lane = gs.place_of(at, j // B, mb), j % B
-        reach = real(s, UNIFORM) * max(s[o + B * mb.root + lane], real(s, SIGMA_MIN))
+        sigma = max(s[o + B * mb.root + lane], real(s, SIGMA_MIN))
+        reach = real(s, 1 + gs.EDGE) if sigma > real(s, ANYWHERE) else real(s, UNIFORM) * sigma
         sums[j] = s[o + B * mb.x + lane] - reach
         sums[PARTS + j] = half / reach
         sums[2 * PARTS + j] = s[weights + j]
