@@ -21,6 +21,7 @@ def belief(filter_: Filter) -> bytes:
 
 @pytest.mark.parametrize("precision", ["f64", "f32"])
 def test_predict_innovate_update_are_what_the_estimator_does(precision):
+    """To the last digits: the compiler fuses other operations. In float32 every step may round a variance anew."""
     samples = list(drive(300, varying_dt=True, seed=3))
     tuning = Tuning(initial_soc=0.9, initial_soc_sigma=0.01, gate_sigmas=1e6, adaptive=False)
     estimator = Estimator(CELL, tuning=tuning, precision=precision)
@@ -31,18 +32,19 @@ def test_predict_innovate_update_are_what_the_estimator_does(precision):
     record[layout.H_PARTS] = 0  # `Filter` has one Gaussian from the start
     filter_ = Filter(CELL, X, SIGMA, tuning, precision)
     filter_._state[:] = record
+    close = 1e-9 if precision == "f64" else len(samples) * 2.0**-23
     for dt, current, voltage, temperature in samples[1:]:
         t_ns += round(dt * 1e9)
         estimate = estimator.step(Sample(t_ns, current, voltage, temperature))
         assert filter_.predict(dt, current, temperature) == Fault.NONE
         assert filter_.innovate(voltage) == Fault.NONE
         assert [filter_.voltage_pred_V, filter_.innovation_V] == pytest.approx(
-            [estimate.voltage_pred_V, estimate.innovation_V], rel=1e-5, abs=1e-12 if precision == "f64" else 5e-7
-        )  # in float32 4 V is known to 2.4e-7
-        assert filter_.innovation_var_V2 == pytest.approx(estimate.innovation_var_V2, rel=1e-5)
+            [estimate.voltage_pred_V, estimate.innovation_V], rel=1e-5, abs=1e-12 if precision == "f64" else 1e-6
+        )  # in float32 4 V is known to 2.4e-7, and the prediction is a sum of seven voltages
+        assert filter_.innovation_var_V2 == pytest.approx(estimate.innovation_var_V2, rel=close)
         assert filter_.update() == Fault.NONE
         np.testing.assert_allclose(filter_.x, record[m.x : m.root], rtol=0, atol=1e-11 if precision == "f64" else 1e-5)
-    assert estimate.soc_sigma == pytest.approx(filter_.sqrt_P[0, 0], rel=1e-6)
+    assert estimate.soc_sigma == pytest.approx(filter_.sqrt_P[0, 0], rel=close)
 
 
 def test_the_states_have_names():
