@@ -101,15 +101,12 @@ def triangularise(w: Any, c: int, m: Any, lost: Any, g: Any, q: Any) -> None:
     noise = vector(w, DENSE_SIX) if n <= SIX else vector(w, DENSE_MAX)
     for j in range(n):
         for k in range(n):
-            root[n * j + k] = real(w, 0)
-            noise[n * j + k] = real(w, 0)
-        for k in range(j + 1):
-            old = w[W * (m.root + tri(j, k)) + c]
+            # One loop of a fixed length: of another length for each row, LLVM would leave `root` in memory.
+            old = w[W * (m.root + tri(j, k)) + c] if k <= j else real(w, 0)
             root[n * j + k] = old - lost[j] * old
-        if m.bias:
-            for k in range(n):
+            if m.bias:
                 root[n * j + k] += g[j] * w[W * (m.root + tri(n - 1, k)) + c]
-        noise[n * j + j] = q[j]
+            noise[n * j + k] = q[j] if k == j else real(w, 0)
     # Written out, as LLVM does not unroll a loop with so large a body; what is beyond n vanishes.
     reflect_row(root, noise, m, 0)
     reflect_row(root, noise, m, 1)
@@ -151,7 +148,23 @@ def reflect(root: Any, noise: Any, n: int, j: int, end: int) -> None:
     away = pivot + sign * norm
     inverse = real(root, 1) / (norm * away)  # divisions are what takes longest here
     inverse_norm, inverse_away = inverse * away, inverse * norm
-    for i in range(j + 1, n):
+    # Written out, as the loops in `triangularise` are.
+    reflect_below(root, noise, n, j, end, 1, sign, inverse_norm, inverse_away)
+    reflect_below(root, noise, n, j, end, 2, sign, inverse_norm, inverse_away)
+    reflect_below(root, noise, n, j, end, 3, sign, inverse_norm, inverse_away)
+    reflect_below(root, noise, n, j, end, 4, sign, inverse_norm, inverse_away)
+    reflect_below(root, noise, n, j, end, 5, sign, inverse_norm, inverse_away)
+    reflect_below(root, noise, n, j, end, 6, sign, inverse_norm, inverse_away)
+    reflect_below(root, noise, n, j, end, 7, sign, inverse_norm, inverse_away)
+    root[n * j + j] = norm
+
+
+@inline
+def reflect_below(
+    root: Any, noise: Any, n: int, j: int, end: int, i: int, sign: Any, inverse_norm: Any, inverse_away: Any
+) -> None:
+    """The reflection of row j, of row i if that is one below it."""
+    if j < i < n:
         dot = real(root, 0)
         for k in range(j, end):
             dot += root[n * j + k] * root[n * i + k]
@@ -164,7 +177,6 @@ def reflect(root: Any, noise: Any, n: int, j: int, end: int) -> None:
             root[n * i + k] -= d * root[n * j + k]
         for k in range(j + 1):
             noise[n * i + k] -= d * noise[n * j + k]
-    root[n * j + j] = norm
 
 
 @inline
@@ -219,22 +231,16 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
     for j in range(n):
         gain[j] = real(w, 0)
     fuse = y[W * Y_FUSE + c] == real(w, BY_SIGMA_POINTS)
-    alpha = y[W * Y_ALPHA + c]
-    per_variance = real(w, 0)
-    for step in range(n):
-        j = n - 1 - step
-        b = y[W * (Y_B + j) + c]
-        alpha_next = alpha + b * b
-        inverse = real(w, 1) / math.sqrt(alpha_next * alpha)
-        keep = alpha * inverse
-        take = b * inverse
-        for i in range(j, n):
-            here = W * (m.root + tri(i, j)) + c
-            old = w[here]
-            new = keep * old - take * gain[i]
-            gain[i] += b * old
-            w[here] = new if fuse else old
-        alpha, per_variance = alpha_next, keep * inverse
+    alpha, per_variance = y[W * Y_ALPHA + c], real(w, 0)
+    # Written out, as LLVM does not unroll a loop whose inner one has another length each time.
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 7)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 6)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 5)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 4)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 3)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 2)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 1)
+    alpha, per_variance = shrink_column(w, y, c, m, gain, fuse, alpha, per_variance, 0)
     weight = y[W * Y_INNOVATION + c] * per_variance
     if m.bias:
         here = W * (m.root + tri(n - 1, n - 1)) + c
@@ -245,3 +251,28 @@ def update(w: Any, y: Any, c: int, m: Any) -> None:
     for j in range(n):
         increment = gain[j] * weight
         add(w, c, m, j, increment if fuse else real(w, 0))
+
+
+@inline
+def shrink_column(
+    w: Any, y: Any, c: int, m: Any, gain: Any, fuse: Any, alpha: Any, per_variance: Any, j: int
+) -> tuple[Any, Any]:
+    """Carlson's step for column j of sqrt_P, if there is one: add its share to `gain`.
+
+    Returns alpha, the variance that the columns so far and the noise explain, and one over it.
+    """
+    W = m.lanes
+    if j < m.n:
+        b = y[W * (Y_B + j) + c]
+        alpha_next = alpha + b * b
+        inverse = real(w, 1) / math.sqrt(alpha_next * alpha)
+        keep = alpha * inverse
+        take = b * inverse
+        for i in range(j, m.n):
+            here = W * (m.root + tri(i, j)) + c
+            old = w[here]
+            new = keep * old - take * gain[i]
+            gain[i] += b * old
+            w[here] = new if fuse else old
+        alpha, per_variance = alpha_next, keep * inverse
+    return alpha, per_variance
