@@ -44,7 +44,7 @@ class Estimator(PerCell):
     `precision` is that of the filter's numbers: "f64", or "f32" to see what a microcontroller would.
     """
 
-    __slots__ = ("_code", "_memory", "_params", "_parts", "_row", "_tick", "accepted", "cell", "t_ns")
+    __slots__ = ("_code", "_memory", "_params", "_row", "_tick", "accepted", "cell", "t_ns")
 
     def __init__(
         self,

@@ -26,6 +26,7 @@ class Kept(NamedTuple):
 
     state: NDArray[Any]
     io: NDArray[Any]
+    parts: NDArray[Any]  # of the cells whose belief is that of components, by their order
     t_ns: int | None
     code: int
     heard_ns: int | None
@@ -40,6 +41,7 @@ class PerCell:
         "_form",
         "_heard_ns",
         "_io",
+        "_parts",
         "_share_ns",
         "_state",
         "_strings",
@@ -59,6 +61,7 @@ class PerCell:
     _code: int  # what the kernel said last
     _form: Form
     _io: NDArray[Any]
+    _parts: NDArray[Any]  # components of each cell's belief
     _state: NDArray[Any]
     _strings: NDArray[Any]  # string of each cell, as the kernel's numbers
     _addresses: tuple[int, int, int, int]  # of params, state and io; cells
@@ -68,11 +71,13 @@ class PerCell:
 
     def keep(self) -> Kept:
         """What is known, as a copy for `go_back`: sooner made than a `snapshot`, and good for this estimator only."""
-        return Kept(self._state.copy(), self._io.copy(), self.t_ns, self._code, self._heard_ns)
+        parts = self._parts[beliefs.with_parts(self._state, self.cells)]
+        return Kept(self._state.copy(), self._io.copy(), parts, self.t_ns, self._code, self._heard_ns)
 
     def go_back(self, kept: Kept) -> None:
         """Know what was known then; `accepted` goes on, as receivers take it for a sign of life."""
         self._state[:], self._io[:] = kept.state, kept.io
+        self._parts[beliefs.with_parts(kept.state, self.cells)] = kept.parts
         self.t_ns, self._code, self._heard_ns = kept.t_ns, kept.code, kept.heard_ns  # type: ignore[misc]
 
     @property

@@ -201,6 +201,24 @@ def test_the_estimator_goes_back_to_before_the_failure_and_the_copies_do_not_pil
     assert after.faults & Fault.CURRENT_MISSING
 
 
+@pytest.mark.parametrize("cells", [1, 5])
+def test_what_an_estimator_goes_back_to_is_bit_for_bit_what_it_knew(cell, cells):
+    """Of a start, whose belief is one of components that narrow from sample to sample."""
+    estimator, samples = Estimator(cell, cells), course(cell, 60)
+
+    def step(sample: Sample) -> tuple[float, ...]:
+        volts = sample.voltage_V if cells == 1 else sample.voltage_V + 0.02 * np.arange(cells)
+        estimate = estimator.step(Sample(sample.t_ns, sample.current_A, volts, 25.0))
+        return tuple(np.ravel([estimate.soc, estimate.soc_low, estimate.soc_high]))
+
+    for sample in samples[:5]:
+        step(sample)
+    kept = estimator.keep()
+    first = [step(sample) for sample in samples[5:]]
+    estimator.go_back(kept)
+    assert [step(sample) for sample in samples[5:]] == first
+
+
 def test_a_block_is_the_same_whichever_frame_of_an_instant_comes_first():
     def blocks(*order: str) -> list[tuple[float, float]]:
         made, taken = [], Blocks(1, math.inf, (0.0, 5.0))
