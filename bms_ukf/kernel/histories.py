@@ -147,7 +147,8 @@ def polarise(p: Any, w: Any, b: Any, v: Any, m: Any, c: int, mb: Any, loaded: in
     W, B = m.lanes, mb.lanes
     zero = real(w, 0)
     i = w[W * k.H_THROUGH + c] / real(w, 2) if loaded else zero
-    history = p[k.P_HISTORY] if loaded else p[k.P_INITIAL_CURRENT]
+    # Loads are those of the cell as large as it is here: a parallel group takes more.
+    history = p[k.P_HISTORY] / w[W * k.H_PER_CAPACITY + c] if loaded else p[k.P_INITIAL_CURRENT]
     times = real(w, LOADED_SLOW) if loaded else real(w, 1)
     for lane in range(B):
         error = v[B * (k.Y_DYN + k.D_ERROR) + lane]
@@ -173,7 +174,8 @@ def polarise(p: Any, w: Any, b: Any, v: Any, m: Any, c: int, mb: Any, loaded: in
 @inline
 def hypothesis(p: Any, w: Any, m: Any, c: int, loaded: int) -> Any:
     """Probability of the history, by the first current."""
-    idle = abs(w[m.lanes * k.H_THROUGH + c]) <= p[k.P_EXCITED] / real(w, 2)
+    i = w[m.lanes * k.H_THROUGH + c] * w[m.lanes * k.H_PER_CAPACITY + c]
+    idle = abs(i) <= p[k.P_EXCITED] / real(w, 2)
     parked = real(w, PARKED) if idle else real(w, LOADED_YET_PARKED)
     return real(w, 1) - parked if loaded else parked
 

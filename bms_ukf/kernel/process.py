@@ -193,7 +193,8 @@ def walk(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         unknown = doubted * doubted * gap * (after + before)
         times = w[W * k.H_PER_CAPACITY + c]
         moved = p[k.P_SOC_WALK_GAIN] * abs(i) * y[W * k.Y_KNOWN + c]
-        y[W * k.Y_WALK + c] = times * times * (dt * p[k.P_SOC_WALK_OFFSET] + moved + unknown)
+        # `moved` is in shares of the capacity squared over that charge: a larger cell has both larger.
+        y[W * k.Y_WALK + c] = times * (times * (dt * p[k.P_SOC_WALK_OFFSET] + unknown) + moved)
 
 
 @inline
