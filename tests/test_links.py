@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from can import CanOperationError, Message
 
-from bms_ukf import ConfigError, Estimator, Sample, Status, links
+from bms_ukf import CellParams, ConfigError, Estimator, Sample, Status, Tuning, links
 from bms_ukf.bus import open_bus
 from bms_ukf.config import Bus
 from bms_ukf.links import BusLink, DirectLink
@@ -30,9 +30,14 @@ def settings():
     return Bus(interface="virtual", channel=next(_channels))
 
 
+def informed(cell: CellParams) -> Estimator:
+    """An estimator with an initial SoC: its status shows the link, not the uncertainty of a start."""
+    return Estimator(cell, tuning=Tuning(initial_soc=0.6, initial_soc_sigma=0.02))
+
+
 @pytest.fixture
 def link(cell, settings):
-    link = BusLink(Estimator(cell), settings, "test")
+    link = BusLink(informed(cell), settings, "test")
     yield link
     link.close()
 
@@ -50,7 +55,7 @@ def test_over_the_bus_every_sample_is_answered_in_its_own_step(link):
     for k in range(1, 10):
         estimate = link.exchange(sample(k))
         assert (estimate.t_ns, estimate.status) == (k * SECOND_NS, Status.OK)
-        assert (link.frames_in, link.frames_out) == (3 * k, 5 * k)
+        assert (link.frames_in, link.frames_out) == (3 * k, 6 * k)
 
 
 def test_a_sample_that_is_lost_on_the_bus_has_no_estimate_and_the_next_one_has(link, monkeypatch):
@@ -66,7 +71,7 @@ def test_a_sample_that_is_lost_on_the_bus_has_no_estimate_and_the_next_one_has(l
 
 
 def test_other_traffic_on_the_channel_changes_nothing(link, cell, settings):
-    alone = BusLink(Estimator(cell), Bus(interface="virtual", channel=next(_channels)), "test")
+    alone = BusLink(informed(cell), Bus(interface="virtual", channel=next(_channels)), "test")
     with open_bus(settings, "test") as other:
         for k in range(1, 20):
             other.send(Message(arbitration_id=0x123, is_extended_id=False, data=bytes(8)))

@@ -280,7 +280,7 @@ def test_another_bus_is_opened_before_the_old_one_is_closed(started, vehicle, tm
         (CONFIG.replace("format = 1", "format = 1\nsilense_s = 3.0"), "did you mean silence_s"),
         (CONFIG.replace("lgm50_chen2020", "a123_lfp"), "restart to change them"),
         (CONFIG.replace("format = 1", "format = 1\ncells = 3"), "restart to change them"),
-        (CONFIG + "[estimator]\ngate_sigmas = 4.0", "restart to change them"),
+        (CONFIG.replace("initial_soc = 0.7", "initial_soc = 0.7, gate_sigmas = 4.0"), "restart to change them"),
         (CONFIG + "[sensor_spec]\ncurrent_gain = 0.01", "restart to change them"),
         (CONFIG + BALANCING, "restart to change them"),
         (CONFIG.replace("format = 1", "format = 1\nhealth = false"), "restart to change them"),

@@ -20,6 +20,7 @@ from bms_ukf.node import SampleEncoder
 from bms_ukf.pack_encoder import PackEncoder
 from bms_ukf.records import NAN, Fault, Sample
 from bms_ukf.signals import SignalMap
+from bms_ukf.tuning import Tuning
 
 FOREIGN = """
 VERSION ""
@@ -256,7 +257,7 @@ def test_a_map_that_cannot_be_meant_is_one_line(units, change, told) -> None:
 
 def test_a_value_beyond_its_plausible_range_is_neither_used_nor_taken_for_missing(units, cell) -> None:
     signals = SignalMap("U.Milli", "charge", ["V.MilliVolt"], plausible={"U.Milli": [-2000, 3000]})
-    decoder, estimator = Decoder(signals, units), Estimator(cell)
+    decoder, estimator = Decoder(signals, units), Estimator(cell, tuning=Tuning(initial_soc_sigma=0.02))
     estimator.step(Sample(0, 1.0, 3.7, 25.0))
     faults = []
     for k, milliampere in enumerate((-2000, 3000, 3001, -2001), start=1):
