@@ -78,7 +78,7 @@ class Fault(IntFlag):
     BUS = 1 << 11  # frames lost, or not sent
     CURRENT_SIGN = 1 << 12  # voltage rises with the current: the sign of one of them is wrong
     CURRENT_SCALE = 1 << 13  # voltage steps are far from what the current's steps and the cell's resistance explain
-    UNCERTAIN = 1 << 14  # half of the 95 % interval of SoC is wider than ok_half_width
+    UNCERTAIN = 1 << 14  # the interval of SoC is wider than ok allows, or contradicts an earlier one
     CURRENT_FAILED = 1 << 15  # the current sensor reads a value that the voltage contradicts: dead, stuck or clipped
 
 

@@ -16,6 +16,7 @@ from bms_ukf import CellParams, Estimate, Estimator, Fault, Sample, Status
 from bms_ukf.campaign import classes
 from bms_ukf.failed import CurrentSensor, Watch
 from bms_ukf.failed.blocks import Blocks
+from bms_ukf.failed.contradiction import Contradiction
 from bms_ukf.failed.rewind import BACK_NS, EVERY_NS, Rewind
 
 NAN = math.nan
@@ -217,6 +218,33 @@ def test_what_an_estimator_goes_back_to_is_bit_for_bit_what_it_knew(cell, cells)
     first = [step(sample) for sample in samples[5:]]
     estimator.go_back(kept)
     assert [step(sample) for sample in samples[5:]] == first
+
+
+@pytest.mark.parametrize("cells", [1, 3])
+@pytest.mark.parametrize("share", [1.0, 0.5, -1.0])
+def test_intervals_contradict_each_other_where_the_charge_between_them_is_not_what_flowed(cell, cells, share):
+    """A tenth of the capacity an hour flows, and SoC falls by it; the sensor shows a `share` of that."""
+    estimator = Estimator(cell, cells)
+    contradiction = Contradiction(estimator)
+    stands = []
+    for k in range(0, 3 * 3600, 10):
+        soc = 0.8 - 0.1 * k / 3600 - 0.1 * (np.arange(cells) == 2)  # of one cell of a pack by more, from the first on
+        low, high = (soc - 0.01, soc + 0.01) if cells > 1 else (float(soc[0]) - 0.01, float(soc[0]) + 0.01)
+        estimate = Estimate(soc=(low + high) / 2, soc_low=low, soc_high=high)
+        contradiction.take(k * SECOND_NS, share * 0.1 * cell.cell.capacity_Ah, estimate)
+        stands.append(contradiction.stands(k * SECOND_NS))
+    assert any(stands) == (share != 1.0)
+    assert not any(stands[:30]), "the intervals are wider than that"
+
+
+def test_a_wide_interval_and_a_gap_in_the_current_contradict_nothing(cell):
+    contradiction = Contradiction(Estimator(cell))
+    for k in range(3600):
+        soc = 0.8 if k < 1800 else 0.4
+        half = 0.01 if (k % 1000 < 500 and k < 1800) or k > 1900 else 0.3
+        shown_A = NAN if 1700 < k < 1850 else 0.0
+        contradiction.take(k * SECOND_NS, shown_A, Estimate(soc=soc, soc_low=soc - half, soc_high=soc + half))
+        assert not contradiction.stands(k * SECOND_NS)
 
 
 def test_a_block_is_the_same_whichever_frame_of_an_instant_comes_first():

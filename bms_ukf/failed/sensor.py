@@ -77,6 +77,18 @@ class CurrentSensor:
             return False
         return self._find(step, soc) if self.fault is Fault.NONE else self._forgive(step)
 
+    @property
+    def doubted(self) -> bool:
+        """Whether anything speaks against the sensor, if too little to suspect it."""
+        return self.fault is Fault.NONE and (self._changed.doubted or self._unseen.seen)
+
+    def accuse(self, since_ns: int, t_ns: int) -> None:
+        """Name a sensor by what else is known: it has been wrong since `since_ns`."""
+        suspected = self._changed.suspected & (Fault.CURRENT_SIGN | Fault.CURRENT_SCALE)
+        kind = suspected if suspected in _TOLD else Fault.CURRENT_FAILED
+        self._name(kind, since_ns, t_ns)
+        self.suspected = Fault.NONE
+
     def _step(self, block: Block, soc: float) -> Step | None:
         voltage_V, self._voltage_V = self._voltage_V, block.voltage_V
         if math.isnan(block.dt_s):

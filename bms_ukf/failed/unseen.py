@@ -49,6 +49,11 @@ class Unseen:
         """A load may not have been seen."""
         return self._one is not None or len(self._seen) > 2 or self._sum > 0.6 * ALARM
 
+    @property
+    def seen(self) -> bool:
+        """One of what may be several."""
+        return bool(self._seen) or self._one is not None
+
     def interrupt(self) -> None:
         """What comes next does not follow what came."""
         self._before.clear()

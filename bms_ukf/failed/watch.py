@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bms_ukf.estimator import Estimator
+from bms_ukf.failed.contradiction import Contradiction
 from bms_ukf.failed.rewind import Rewind
 from bms_ukf.failed.sensor import CurrentSensor
 from bms_ukf.records import Estimate, Fault, Sample
 from bms_ukf.strings import Cells, seen_by, with_values
 
+REFUSED_SHARE = 0.7  # of `reject_s`: voltages refused for so long, and a sensor in doubt, name it
+_REJECTED = int(Fault.INNOVATION_REJECTED)
+
 
 class Watch:
     """Looks at every sample before the estimator does. `fault`: what is wrong with any of the sensors.
 
-    `shown` has beside it what is only suspected: its sensor is used, and the status is degraded.
+    `shown` has beside it what is only suspected: its sensor is used, and the status is degraded. UNCERTAIN is shown
+    where the intervals of SoC contradict each other (`contradiction`).
     """
 
     def __init__(self, estimator: Estimator) -> None:
@@ -29,18 +36,25 @@ class Watch:
         self._strings: list[tuple[int, Cells, CurrentSensor]] = [
             (k, cells, CurrentSensor(cell, len(cells), *plausible, string=k + 1)) for k, cells in strings.items()
         ]
+        self._contradictions = {k: Contradiction(estimator, cells) for k, cells in strings.items()}
+        self._contradiction = None if strings else Contradiction(estimator)
+        self._refused_ns: int | None = None  # since when voltages have been refused
+        self._patience_ns = round(REFUSED_SHARE * 1e9 * tuning.reject_s)
 
     def take(self, sample: Sample, estimate: Estimate) -> None:
         """Turn into NaN what failed sensors say; `estimate` is the latest, and `sample` what comes after it."""
         self._rewind.keep(self._estimator, sample.t_ns)
         soc = estimate.soc
-        if self._one is not None:
-            if self._one.see(sample, soc):
+        if self._one is not None and self._contradiction is not None:
+            if self._one.see(sample, soc) or self._accuses(self._one, sample.t_ns, estimate):
                 self._judge(self._one, sample.t_ns)
                 self.fault = self._one.fault
             self.shown = self.fault if self.fault is not _NONE else self._one.suspected
             if self.fault is not _NONE:
                 sample.current_A = math.nan
+            self._contradiction.take(sample.t_ns, sample.current_A, estimate)
+            if self._contradiction.stands(sample.t_ns):
+                self.shown |= Fault.UNCERTAIN
             return
         changed = [sensor for k, cells, sensor in self._strings if sensor.see(seen_by(k, cells, sample), soc)]
         for sensor in changed:
@@ -52,14 +66,40 @@ class Watch:
         if self.fault is not _NONE and sample.string_current_A is not None:
             failed = [k for k, _, sensor in self._strings if sensor.fault is not _NONE]
             sample.string_current_A = with_values(sample.string_current_A, failed, math.nan)
+        strings_A = sample.string_current_A
+        for k, contradiction in self._contradictions.items():
+            contradiction.take(sample.t_ns, math.nan if strings_A is None else float(strings_A[k]), estimate)
+            if contradiction.stands(sample.t_ns):
+                self.shown |= Fault.UNCERTAIN
 
     def distrust(self, t_ns: int) -> None:
         """Go back as far as can be: the current was never right."""
         self._rewind.back(self._estimator, 0, t_ns)
 
+    def _accuses(self, sensor: CurrentSensor, t_ns: int, estimate: Estimate) -> bool:
+        """Name a sensor that is in doubt while voltages are refused, before the filter doubts SoC in its place."""
+        if not int(estimate.faults) & _REJECTED:
+            innovation_V = estimate.innovation_V
+            if not isinstance(innovation_V, float) or innovation_V == innovation_V:  # noqa: PLR0124 - not NaN
+                self._refused_ns = None
+            return False
+        if self._refused_ns is None:
+            self._refused_ns = t_ns
+        if t_ns - self._refused_ns < self._patience_ns or not sensor.doubted or self._is_of_few_cells():
+            return False
+        sensor.accuse(self._refused_ns, t_ns)
+        self._refused_ns = None
+        return True
+
+    def _is_of_few_cells(self) -> bool:
+        return bool(np.mean(self._estimator.cell_faults & _REJECTED > 0) <= 0.5)
+
     def _judge(self, sensor: CurrentSensor, t_ns: int) -> None:
         if sensor.fault is not _NONE:
             self._rewind.back(self._estimator, sensor.since_ns, t_ns)
+            contradictions = [self._contradiction] if self._contradiction else self._contradictions.values()
+            for contradiction in contradictions:
+                contradiction.reset()
 
 
 _NONE = Fault.NONE  # what an enumeration does, beyond being compared, takes longer

@@ -42,7 +42,7 @@ FAULTS = {
     Fault.BUS: "frames lost or not sent",
     Fault.CURRENT_SIGN: "the sign of the current is wrong",
     Fault.CURRENT_SCALE: "the scale of the current is wrong",
-    Fault.UNCERTAIN: "the interval of SoC is wide",
+    Fault.UNCERTAIN: "the interval of SoC is wide or in doubt",
     Fault.CURRENT_FAILED: "the current sensor has failed",
 }
 SOURCES = {
