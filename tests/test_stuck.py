@@ -52,6 +52,14 @@ def test_a_voltage_that_stands_still_under_a_moving_current_is_missing_until_it_
     assert not math.isnan(sample.voltage_V)
 
 
+@pytest.mark.parametrize(("degC", "found"), [(-10.0, Fault.VOLTAGE_IMPLAUSIBLE), (40.0, Fault.NONE)])
+def test_in_the_cold_a_smaller_load_shows_that_a_voltage_stands_still(stuck, degC, found):
+    """Steps of 1 A drop more than 30 mV at -10 degC, and less at 40."""
+    for k in range(30):
+        stuck.take(Sample(k * 10**9, float(k // 5 % 2), 3.7, degC))
+    assert stuck.fault is found
+
+
 def test_what_stands_still_is_not_given_to_the_estimator(stuck):
     current, last = drive(30), 0.0
     for k, i in enumerate(current.tolist()):
