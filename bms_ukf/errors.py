@@ -30,7 +30,7 @@ class ConfigError(BmsError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """An error of a process of a pool is pickled, which by itself would give back `args` alone."""
-        again = partial(ConfigError, expected=self.expected, key=self.key, value=self.value)
+        again = partial(type(self), expected=self.expected, key=self.key, value=self.value)
         return again, (self.source,)
 
 

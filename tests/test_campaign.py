@@ -276,8 +276,7 @@ def test_an_error_in_a_process_of_its_own_comes_back_as_it_was():
 def test_classes_that_the_plants_asked_for_cannot_serve_are_left_out(monkeypatch):
     drives_only = [name for name in library.names("mohtat2020") if "/drive_" in name]
     monkeypatch.setattr(library, "names", lambda plant: drives_only)
-    wanted = command.plan(plants=("mohtat2020",))
-    assert "start_in_drive" in wanted.names
-    assert "packs" not in wanted.names
-    with pytest.raises(ConfigError, match="can be cut for"):
-        command.plan("packs", plants=("mohtat2020",))
+    found = command.campaign(command.plan("starts", seed=0, plants=("mohtat2020",)), jobs=1)
+    assert {run.name for run in found} >= {"start_after_hours", "start_in_drive"}
+    with pytest.raises(classes.NoTraceError, match="of mohtat2020"):
+        command.campaign(command.plan("charges", seed=0, plants=("mohtat2020",)), jobs=1)

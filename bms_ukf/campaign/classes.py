@@ -16,6 +16,10 @@ from bms_ukf.errors import ConfigError
 SEEDS = 10_000  # seeds are 0 to 9999
 
 
+class NoTraceError(ConfigError):
+    """None of the plants has a trace that a situation could be cut from, as that of a pack."""
+
+
 class SituationClass(NamedTuple):
     """A class: its family, how to draw a situation, and the variants that are drawn in turn."""
 
@@ -82,16 +86,7 @@ def situation(name: str, seed: int, given: Sequence[str] = ()) -> Situation:
         found = kind.draw(Lot(rng, plant, variant))
         if found is not None:
             return found
-    raise ConfigError(name, value=seed, expected="a trace to cut it from")
-
-
-def possible(name: str, given: Sequence[str]) -> bool:
-    """Return whether a trace of these plants serves a class at all."""
-    try:
-        situation(name, 0, given)
-    except ConfigError:
-        return False
-    return True
+    raise NoTraceError(name, value=seed, expected=f"a trace to cut it from, of {', '.join(among)}")
 
 
 def in_turn(name: str, what: str, seed: int, values: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 from bms_ukf.campaign import classes, goals
+from bms_ukf.campaign.classes import NoTraceError
 from bms_ukf.campaign.figures import RunFigures, of_class, of_run
 from bms_ukf.errors import ConfigError
 
@@ -45,14 +46,8 @@ def plan(
     runs: int | None = None,
     plants: Sequence[str] = (),
 ) -> Plan:
-    """Return the runs that a user asked for. ConfigError for a class, a seed or a plant that does not exist.
-
-    On the plants that were asked for, classes are left out that need a trace none of them has, as a pack's.
-    """
-    among = classes.plants(plants)
-    names = tuple(each for each in classes.named(name) if not plants or classes.possible(each, among))
-    if not names:
-        raise ConfigError("--class", value=name, expected=f"a class that traces of {', '.join(among)} can be cut for")
+    """Return the runs that a user asked for. ConfigError for a class, a seed or a plant that does not exist."""
+    names, among = tuple(classes.named(name)), classes.plants(plants)
     if seed is not None:
         first, runs, quick = seed, 1, True
     runs = runs or (QUICK_RUNS if quick else RUNS)
@@ -66,34 +61,46 @@ def plan(
 def campaign(
     wanted: Plan, jobs: int | None = None, watch: Callable[[RunFigures], None] | None = None
 ) -> list[RunFigures]:
-    """Run all tasks in `jobs` processes (None: as many as cores), and return their figures by class and seed."""
+    """Run all tasks in `jobs` processes (None: as many as cores), and return their figures by class and seed.
+
+    What no trace of the plants serves is left out. NoTraceError if that is everything.
+    """
     tasks = wanted.tasks
     jobs = min(jobs or len(os.sched_getaffinity(0)), len(tasks))
-    found = []
+    found: list[RunFigures] = []
+    untraced: NoTraceError | None = None
     with _quiet():
         for figures in _serial(tasks) if jobs == 1 else _parallel(tasks, jobs):
+            if isinstance(figures, NoTraceError):
+                untraced = figures
+                continue
             found.append(figures)
             if watch is not None:
                 watch(figures)
+    if untraced is not None and not found:
+        raise untraced
     order = {name: place for place, name in enumerate(wanted.names)}
     return sorted(found, key=lambda run: (order[run.name], run.seed))
 
 
-def _serial(tasks: Sequence[Task]) -> Iterator[RunFigures]:
+def _serial(tasks: Sequence[Task]) -> Iterator[RunFigures | NoTraceError]:
     for task in tasks:
-        yield of_run(*task)
+        yield _work(task)
 
 
-def _parallel(tasks: Sequence[Task], jobs: int) -> Iterator[RunFigures]:
+def _parallel(tasks: Sequence[Task], jobs: int) -> Iterator[RunFigures | NoTraceError]:
     # Forked processes would share the locks of a compiler that runs threads.
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         for done in as_completed([pool.submit(_work, task) for task in tasks]):
             yield done.result()
 
 
-def _work(task: Task) -> RunFigures:
+def _work(task: Task) -> RunFigures | NoTraceError:
     with _quiet():
-        return of_run(*task)
+        try:
+            return of_run(*task)
+        except NoTraceError as error:
+            return error
 
 
 @contextmanager
@@ -113,6 +120,8 @@ def summary(wanted: Plan, runs: Sequence[RunFigures]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in wanted.names:
         mine = [run for run in runs if run.name == name]
+        if not mine:
+            continue
         figures = of_class(mine)
         missed = goals.missed(name, figures, wanted.quick)
         found[name] = figures | {

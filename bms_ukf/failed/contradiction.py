@@ -1,7 +1,7 @@
 """Whether the intervals of SoC contradict each other, by the charge that flowed between them.
 
-An interval that is right, moved by the charge that flowed since, overlaps every later one that is right. Where two do
-not, one of them was wrong, or the current between them is: nobody can tell which, so none of them is a promise. This
+An interval that is right, moved by the charge that flowed since, overlaps every later one that is right. Intervals of
+three sigmas are compared: of 95 % intervals one in twenty misses the truth by a little. Where two do not overlap, one of them was wrong, or the current between them is: nobody can tell which, so none of them is a promise. This
 finds what no step of a load shows: a current that is clipped, halved or dead since before the first sample, a voltage
 that stands still or jumps, a start that was sure of the wrong SoC.
 """
@@ -18,8 +18,9 @@ from bms_ukf.records import Estimate, PerCell
 from bms_ukf.sensor_spec import BOUND_SIGMAS
 
 EVERY_NS = 10_000_000_000  # SoC is slow, and a comparison of 96 cells takes longer than a step of one
+MORE = 3.0 / BOUND_SIGMAS - 1.0  # of a half-width, from a 95 % interval to one of three sigmas
 GAP_NS = 20_000_000_000  # without a current: the charge is not known
-LASTS_NS = 1_800_000_000_000  # without another contradiction, until the interval counts again
+LASTS_NS = 900_000_000_000  # without another contradiction, until the interval counts again
 
 
 class Contradiction:
@@ -89,7 +90,8 @@ class Contradiction:
         self._low, self._high = self._low - loose, self._high + loose
         if not high - low <= self._most:
             return False
-        low, high = low + charge, high + charge
+        more = MORE / 2 * (high - low)
+        low, high = low + charge - more, high + charge + more
         apart = bool(high < self._low or low > self._high)
         self._low, self._high = (low, high) if apart else (max(self._low, low), min(self._high, high))
         return apart
@@ -98,7 +100,9 @@ class Contradiction:
         """`_one` for each cell."""
         self._low, self._high = self._low - loose, self._high + loose
         known = high - low <= self._most
-        low, high = np.where(known, low + charge, -np.inf), np.where(known, high + charge, np.inf)
+        more = MORE / 2 * (high - low)
+        low = np.where(known, low + charge - more, -np.inf)
+        high = np.where(known, high + charge + more, np.inf)
         apart = (high < self._low) | (low > self._high)
         self._low = np.where(apart, low, np.maximum(self._low, low))
         self._high = np.where(apart, high, np.minimum(self._high, high))
