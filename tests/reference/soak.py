@@ -85,12 +85,14 @@ def soak(cell: CellParams, tuning: Tuning, precision: Precision, steps: int, see
         sigma, published = sigma[np.isfinite(sigma)], got["soc"][np.isfinite(got["soc"])]
         slack = 1 + 1e-6  # of float32's own rounding of the bounds
         assert not (got["faults"] & Fault.NUMERIC).any(), where
-        assert ((SOC_SIGMA_MIN / slack <= sigma) & (sigma <= SOC_SIGMA_MAX * slack)).all(), where
+        # Of a belief that an end of SoC cuts off, less is left than its own sigma.
+        assert ((sigma > 0) & (sigma <= SOC_SIGMA_MAX * slack)).all(), where
         assert ((published >= 0) & (published <= 1)).all(), where
         if shown[-1]:
             belief = estimator._state[0, m.x : m.carry, 0]
             diagonal = belief[[m.n + j * (j + 3) // 2 for j in range(m.n)]]
             assert np.isfinite(belief).all(), where
+            assert SOC_SIGMA_MIN / slack <= belief[m.n] <= SOC_SIGMA_MAX * slack, where
             assert (diagonal > 0).all(), where
         met["steps"] += CHUNK
         met["refused voltages"] += int(((got["faults"] & Fault.INNOVATION_REJECTED) != 0).sum())
