@@ -64,7 +64,7 @@ class Tuning(Section):
     adaptive: bool = True  # adapt the variance of the fast voltage error to the innovations
     gate_sigmas: Positive = 5.0
     reject_s: Positive = 30.0  # after so long the belief is doubted, not the voltage
-    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.02  # above it a belief has components (`kernel.parts`)
+    wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.05  # above it a belief has components (`kernel.parts`)
     # Half of the 95 % interval of SoC: up to the first a cell is ok, above the second it has no SoC.
     ok_half_width: Annotated[float, Field(gt=0, le=0.5)] = 0.10
     invalid_half_width: Annotated[float, Field(gt=0, le=0.5)] = 0.40

@@ -43,7 +43,7 @@ R0_PER_K = 0.03  # how fast a resistance changes with temperature, relative
 # Errors that pass within FAST_S.
 FAST_SIGMA_V = 0.005
 FAST_HYSTERESIS = 0.5  # of the largest hysteresis voltage: how far a one-state model of it is off
-FAST_REL = 0.3  # after a change of the current, as a share of the change of the ohmic drop
+FAST_REL = 0.6  # after a change of the current, as a share of the change of the ohmic drop
 
 MOVED = 0.5  # of the capacity: a walk of SoC from an unknown gain is here as wide as the error of that gain
 HISTORY = 0.35  # of the cell's current range: one sigma of the mean load before a first sample
