@@ -18,8 +18,8 @@ NORMAL = 1.959964  # 97.5 % quantile of a Gaussian
 TAIL = 0.025
 SAME_SOC = 0.001  # quantiles that a Gaussian may move when it takes over
 RELEASE = 0.75  # of the sigma at which components take over
-BISECTIONS = 14
 ANYWHERE = 0.49  # a sigma is kept below 0.5 (P_SOC_SIGMA_MAX), so one near it stands for any SoC
+BISECTIONS = 9  # of the range that the components have
 
 
 @inline
@@ -28,6 +28,7 @@ def describe(s: Any, at: int, y: Any, sums: Any, m: Any, mb: Any, c: int, centre
     W, B, weights = m.lanes, mb.lanes, gs.weights_of(at, mb)
     zero, one, half = real(s, 0), real(s, 1), real(s, 0.5)
     # `sums` gets the lower end, 1 / length and weight of each component, as uniform in SoC.
+    first, last = one, zero
     for j in range(PARTS):
         o, lane = gs.place_of(at, j // B, mb), j % B
         sigma = max(s[o + B * mb.root + lane], real(s, SIGMA_MIN))
@@ -35,6 +36,8 @@ def describe(s: Any, at: int, y: Any, sums: Any, m: Any, mb: Any, c: int, centre
         sums[j] = s[o + B * mb.x + lane] - reach
         sums[PARTS + j] = half / reach
         sums[2 * PARTS + j] = s[weights + j]
+        first, last = min(first, sums[j]), max(last, s[o + B * mb.x + lane] + reach)
+    first, last = clamp(first, zero, one), clamp(last, zero, one)
     below, upto = mass_below(sums, zero), mass_below(sums, one)
     within, mean = zero, zero
     for j in range(PARTS):
@@ -42,8 +45,8 @@ def describe(s: Any, at: int, y: Any, sums: Any, m: Any, mb: Any, c: int, centre
         mass = sums[2 * PARTS + j] * max(right - left, zero) * sums[PARTS + j]
         within += mass
         mean += mass * (left + right) * half
-    low = quantile(sums, below + real(s, TAIL) * (upto - below))
-    high = quantile(sums, below + real(s, 1 - TAIL) * (upto - below))
+    low = quantile(sums, first, last, below + real(s, TAIL) * (upto - below))
+    high = quantile(sums, first, last, below + real(s, 1 - TAIL) * (upto - below))
     # Beyond an end no mass is left within 0..1. The bounds are then at that end, and no closer than an OCV can tell.
     some, edge = within > real(s, MASS), one if centre > half else zero
     low, high = low if some else edge, high if some else edge
@@ -57,22 +60,36 @@ def describe(s: Any, at: int, y: Any, sums: Any, m: Any, mb: Any, c: int, centre
 @inline
 def mass_below(sums: Any, soc: Any) -> Any:
     """Of the components as `describe` lists them."""
-    total = real(sums, 0)
-    for j in range(PARTS):
-        share = clamp((soc - sums[j]) * sums[PARTS + j], real(sums, 0), real(sums, 1))
-        total += sums[2 * PARTS + j] * share
-    return total
+    total, second, third = real(sums, 0), real(sums, 0), real(sums, 0)  # one sum would wait for each addition
+    for j in range(0, PARTS, 3):
+        total += share_below(sums, j, soc)
+        second += share_below(sums, j + 1, soc)
+        third += share_below(sums, j + 2, soc)
+    return total + second + third
 
 
 @inline
-def quantile(sums: Any, mass: Any) -> Any:
-    """The SoC within 0..1 that has `mass` below it."""
-    low, high = real(sums, 0), real(sums, 1)
+def share_below(sums: Any, j: int, soc: Any) -> Any:
+    """Mass of component `j` below `soc`."""
+    return sums[2 * PARTS + j] * clamp((soc - sums[j]) * sums[PARTS + j], real(sums, 0), real(sums, 1))
+
+
+@inline
+def quantile(sums: Any, low: Any, high: Any, mass: Any) -> Any:
+    """The SoC within `low`..`high` that has `mass` below it.
+
+    The last interval is interpolated: a middle alone would move by whole intervals, as rounding decides.
+    """
+    to_low, to_high = mass_below(sums, low), mass_below(sums, high)
     for _ in range(BISECTIONS):
         middle = (low + high) * real(sums, 0.5)
-        above = mass_below(sums, middle) >= mass
+        to_middle = mass_below(sums, middle)
+        above = to_middle >= mass
         low, high = low if above else middle, middle if above else high
-    return (low + high) * real(sums, 0.5)
+        to_low, to_high = to_low if above else to_middle, to_middle if above else to_high
+    within = to_high - to_low
+    share = (mass - to_low) / within if within > real(sums, 0) else real(sums, 0.5)
+    return low + clamp(share, real(sums, 0), real(sums, 1)) * (high - low)
 
 
 @inline
