@@ -22,7 +22,7 @@ from bms_ukf.kernel.memory import beyond, pointer
 CELL = CellParams.load("lgm50_chen2020")
 SECOND = 10**9
 POINTS = 2001
-VARIANT = form(2, 0, 1, 0, 1, 0, 8).variant
+VARIANT = form(2, 0, 1, 0, 1, 0, layout.PART_LANES).variant
 N = form(*VARIANT).n
 
 # A trace, the row at which it is cut, and what the cell does there.

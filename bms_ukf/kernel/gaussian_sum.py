@@ -70,15 +70,15 @@ def forget_tables(s: Any, at: int, mb: Any) -> None:
 @inline
 def are_finite(s: Any, at: int, mb: Any) -> Any:
     """Whether the components are numbers only, and have weight."""
-    weights, mass, total = weights_of(at, mb), real(s, 0), real(s, 0)
+    weights, mass, unsound = weights_of(at, mb), real(s, 0), 0
     for j in range(PARTS):
         mass += s[weights + j]
     for block in range(PARTS // mb.lanes):
         o = place_of(at, block, mb)
         for slot in range(mb.lanes * mb.x, mb.lanes * mb.carry):
-            total += abs(s[o + slot])
-    total += mass
-    return (total - total == real(s, 0)) & (mass > real(s, 0))
+            value = s[o + slot]  # a sum of them would wait for each addition
+            unsound |= 0 if value - value == real(s, 0) else 1
+    return (unsound == 0) & (mass > real(s, 0)) & (mass - mass == real(s, 0))
 
 
 @inline
@@ -153,6 +153,40 @@ def place(s: Any, at: int, sums: Any, m: Any, mb: Any, first: int, count: int, l
 
 
 @inline
+def pool(s: Any, at: int, w: Any, sums: Any, m: Any, mb: Any, c: int, centre: Any) -> None:
+    """Give lane `c` of `w` the mean and the covariance of the components; `centre` is near their SoC.
+
+    Every lane has sums of its own, which are added at the end: so the loop over lanes becomes vector instructions.
+    """
+    B, weights = mb.lanes, weights_of(at, mb)
+    for here in range(B * per_interval(m)):
+        sums[here] = real(s, 0)
+    for block in range(PARTS // B):
+        o = place_of(at, block, mb)
+        for lane in range(B):
+            weight = s[weights + block * B + lane]
+            sums[lane] += weight
+            for row in range(m.n):
+                x_row = s[o + B * (mb.x + row) + lane]
+                x_row -= centre if row == 0 else real(s, 0)
+                sums[B * (1 + row) + lane] += weight * x_row
+                for column in range(row + 1):
+                    x_column = s[o + B * (mb.x + column) + lane]
+                    x_column -= centre if column == 0 else real(s, 0)
+                    second = x_row * x_column
+                    for between in range(column + 1):
+                        product = s[o + B * (mb.root + tri(row, between)) + lane]
+                        second += product * s[o + B * (mb.root + tri(column, between)) + lane]
+                    sums[B * (1 + m.n + tri(row, column)) + lane] += weight * second
+    for here in range(per_interval(m)):
+        total = real(s, 0)
+        for lane in range(B):
+            total += sums[B * here + lane]
+        sums[here] = total
+    gather(w, 0, m.lanes, c, sums, 0, m, centre)
+
+
+@inline
 def normalise(s: Any, at: int, mb: Any) -> None:
     weights, total = weights_of(at, mb), real(s, 0)
     for j in range(PARTS):
@@ -215,12 +249,11 @@ def cut(s: Any, at: int, w: Any, sums: Any, m: Any, mb: Any, c: int, gaussian: i
     joins = due_now & (groups == HISTORIES) & ((not apart) | (w[W * k.H_PART_S + c] > real(s, JOIN_S)))
     groups = 1 if joins else groups
     w[W * k.H_PART_GROUPS + c] = real(w, groups)
-    for group in range(HISTORIES + 1):
+    for group in range(HISTORIES):
         count = PARTS // HISTORIES if groups == HISTORIES else PARTS
-        count = count if group < HISTORIES else 1
-        first = group * count if group < HISTORIES else 0
+        first = group * count
         last = first + count if group < groups else 0
-        last = PARTS if joins | (group == HISTORIES) else last
+        last = PARTS if joins else last
         low, high, widest = real(s, math.inf), -real(s, math.inf), zero
         for j in range(first, last):
             o, lane, weight = place_of(at, j // B, mb), j % B, s[weights + j]
@@ -229,23 +262,19 @@ def cut(s: Any, at: int, w: Any, sums: Any, m: Any, mb: Any, c: int, gaussian: i
             low, high = (min(low, soc - reach), max(high, soc + reach)) if weight > real(s, MASS) else (low, high)
             widest = max(widest, sigma) if weight > real(s, COUNTS) else widest
         low, high = max(low, real(s, -EDGE)), min(high, real(s, 1 + EDGE))
-        width = w[W * (k.H_PART_WIDTH + min(group, HISTORIES - 1)) + c]
+        width = w[W * (k.H_PART_WIDTH + group) + c]
         sparse = (high - low < real(s, TOO_SPARSE) * real(s, count) * width) & (width > real(s, WIDTH_MIN))
         due = (high > low) & (sparse | joins | (widest > real(s, TOO_WIDE) * width))
         due = due & due_now & (group < groups) & (not (joins & (group > 0)))
         width = (high - low) / real(s, count)
-        if group == HISTORIES:
-            low, width = before - half, one
-        if due | (group == HISTORIES):
+        if due:
             clear(sums, count, m)
             for j in range(first, last):
                 if s[weights + j] > zero:
                     o = place_of(at, j // B, mb)
                     put(sums, count, s, o, B, j % B, mb, s[weights + j], low, width, gaussian)
-            if group == HISTORIES:
-                gather(w, 0, W, c, sums, 0, m, before)
-            else:
-                place(s, at, sums, m, mb, first, count, low, width)
-                w[W * (k.H_PART_WIDTH + group) + c] = width
+            place(s, at, sums, m, mb, first, count, low, width)
+            w[W * (k.H_PART_WIDTH + group) + c] = width
     if gaussian:
         normalise(s, at, mb)
+    pool(s, at, w, sums, m, mb, c, before)

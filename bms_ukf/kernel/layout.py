@@ -18,7 +18,7 @@ from bms_ukf.kernel.jit import inline
 
 LANES = 16  # cells in a block of a pack. A float64 vector register holds 2 to 8: more lanes hide latency
 PARTS = 24  # components of a belief of any shape
-PART_LANES = 8  # handled in one loop, where a vector register holds several
+PART_LANES = 24  # handled in one loop: LLVM makes vector instructions of a loop over 16 or more lanes only
 
 # The largest filter: SoC, three RC voltages, hysteresis, slow voltage error, r0 error, bias. These size the vectors on
 # the stack.
