@@ -21,13 +21,14 @@ LIMITS = Limits(current_A=(-200.0, 200.0))  # so that the voltage limits
 
 
 def known(socs: list[float], loads: float = 0.0, **settings) -> tuple[Pack, PackEstimate, list[ModelCell]]:
-    """A pack of model cells after ten minutes of `loads`, A, that are known well."""
+    """A pack of model cells, known well, after ten minutes around `loads`, A: r0 shows where a current changes."""
     models = [ModelCell(STEADY, soc) for soc in socs]
     estimator = Estimator(STEADY, len(socs), Tuning(initial_soc=float(np.mean(socs)), current_bias=False))
     pack = Pack(estimator, settings.pop("limits", LIMITS))
     for k in range(600):
-        volts = np.array([model.step(loads, 1.0) for model in models])
-        sample = Sample(k * SECOND, loads, volts if len(models) > 1 else float(volts[0]), 25.0)
+        load = loads * (0.4 if k % 20 < 10 else 1.6) if k < 540 else loads
+        volts = np.array([model.step(load, 1.0) for model in models])
+        sample = Sample(k * SECOND, load, volts if len(models) > 1 else float(volts[0]), 25.0)
         estimate = estimator.step(sample)
         told = pack.update(estimate, sample)
     return pack, told, models

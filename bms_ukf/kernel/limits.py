@@ -40,19 +40,24 @@ def temperature(s: Any, o: int, m: Any) -> Any:
 
 
 @inline
+def tracked(s: Any, o: int, m: Any) -> Any:
+    """What the filter has found to multiply all resistances by: r0's and those of the RC pairs."""
+    return real(s, 1) + s[o + m.lanes * (m.x + m.r0)]
+
+
+@inline
 def ohmic(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, i: Any) -> Any:
     """Ohmic drop at `i`, V, by the r0 that is tracked."""
-    W = m.lanes
-    resistance, tracked = s[o + W * k.H_RESISTANCE], real(p, 1) + s[o + W * (m.x + m.r0)]
+    resistance = s[o + m.lanes * k.H_RESISTANCE]
     r0 = dynamics(p, soc, T, k.D_R0 if i >= real(p, 0) else k.D_R0_CHARGE, m.channels)
     knee = dynamics(p, soc, T, k.D_KNEE, m.channels)
-    return tracked * r0 * knee * asinh(p, resistance * i / knee)
+    return tracked(s, o, m) * r0 * knee * asinh(p, resistance * i / knee)
 
 
 @inline
 def settled(p: Any, s: Any, o: int, m: Any, soc: Any, T: Any, i: Any) -> Any:
     """Terminal voltage under a current that has flowed for long, V."""
-    resistance = s[o + m.lanes * k.H_RESISTANCE]
+    resistance = s[o + m.lanes * k.H_RESISTANCE] * tracked(s, o, m)
     v = ocv(p, soc, T) - ohmic(p, s, o, m, soc, T, i)
     for j in range(m.n_rc):
         v -= resistance * i * dynamics(p, soc, T, k.D_RC1 + 2 * j, m.channels)
@@ -103,18 +108,21 @@ def prepare(p: Any, s: Any, o: int, m: Any, T: Any, seconds: Any, z: Any) -> Non
     W = m.lanes
     zero = real(p, 0)
     soc, resistance, per_capacity = s[o + W * m.x], s[o + W * k.H_RESISTANCE], s[o + W * k.H_PER_CAPACITY]
-    tracked = real(p, 1) + s[o + W * (m.x + m.r0)]
+    times = tracked(s, o, m)
     knee = dynamics(p, soc, T, k.D_KNEE, m.channels)
     z[Z_SOC], z[Z_FALL] = soc, seconds / p[k.P_CHARGE_COULOMB] * per_capacity
-    z[Z_DROP] = tracked * knee * dynamics(p, soc, T, k.D_R0, m.channels)
-    z[Z_DROP + 1] = tracked * knee * dynamics(p, soc, T, k.D_R0_CHARGE, m.channels)
+    z[Z_DROP] = times * knee * dynamics(p, soc, T, k.D_R0, m.channels)
+    z[Z_DROP + 1] = times * knee * dynamics(p, soc, T, k.D_R0_CHARGE, m.channels)
     z[Z_KNEE] = knee / resistance
     z[Z_OHM] = z[Z_LARGEST] = z[Z_TURN] = zero
     z[Z_V] = s[o + W * (m.x + m.n_v)]
     for j in range(m.n_rc):
         risen = fall(p, seconds / dynamics(p, soc, T, k.D_RC1 + 2 * j + 1, m.channels))
-        z[Z_V] += (real(p, 1) - risen) * s[o + W * (m.x + k.V_RC1 + j)]
-        z[Z_OHM] += risen * resistance * dynamics(p, soc, T, k.D_RC1 + 2 * j, m.channels)
+        # The filter applies the error of resistances to what the current has polarised, and not to the state.
+        polarised = (times - real(p, 1)) * s[o + W * (k.H_POLARISED + j)]
+        polarised = polarised if is_number(polarised) else zero
+        z[Z_V] += (real(p, 1) - risen) * (s[o + W * (m.x + k.V_RC1 + j)] + polarised)
+        z[Z_OHM] += times * risen * resistance * dynamics(p, soc, T, k.D_RC1 + 2 * j, m.channels)
     if m.hysteresis:
         z[Z_V] += s[o + W * (m.x + k.V_RC1 + m.n_rc)]
         z[Z_LARGEST] = dynamics(p, soc, T, k.D_RC1 + 2 * m.n_rc, m.channels)
@@ -169,7 +177,7 @@ def doubt(p: Any, s: Any, o: int, m: Any, T: Any, seconds: Any, z: Any, i: Any) 
     step = real(p, OCV_STEP)
     slope = (ocv(p, soc + step, T) - ocv(p, soc - step, T)) / (step + step)
     error = dynamics(p, soc, T, k.D_ERROR, m.channels)
-    ohmic_V = drop(p, z, i)
+    by_resistance_V = drop(p, z, i) + z[Z_OHM] * i
     variance = error * error * (p[k.P_VAR_VOLTAGE] + p[k.P_FAST_VAR])
     stays = vector(s, N_MAX)
     for j in range(m.n_v):
@@ -180,7 +188,7 @@ def doubt(p: Any, s: Any, o: int, m: Any, T: Any, seconds: Any, z: Any, i: Any) 
         b = slope * s[o + W * m.root] if column == 0 else real(p, 0)
         for j in range(max(k.V_RC1, column), k.V_RC1 + m.n_v):
             b -= stays[j - k.V_RC1] * s[o + W * (m.root + tri(j, column))]
-        b -= ohmic_V * s[o + W * (m.root + tri(m.r0, column))]
+        b -= by_resistance_V * s[o + W * (m.root + tri(m.r0, column))]
         variance += b * b
     return math.sqrt(variance)
 
