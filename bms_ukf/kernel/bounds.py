@@ -45,8 +45,8 @@ def describe(s: Any, at: int, y: Any, sums: Any, m: Any, mb: Any, c: int, centre
         mass = sums[2 * PARTS + j] * max(right - left, zero) * sums[PARTS + j]
         within += mass
         mean += mass * (left + right) * half
-    low = quantile(sums, first, last, below + real(s, TAIL) * (upto - below))
-    high = quantile(sums, first, last, below + real(s, 1 - TAIL) * (upto - below))
+    low = quantile(sums, first, last, below, upto, below + real(s, TAIL) * (upto - below))
+    high = quantile(sums, first, last, below, upto, below + real(s, 1 - TAIL) * (upto - below))
     # Beyond an end no mass is left within 0..1. The bounds are then at that end, and no closer than an OCV can tell.
     some, edge = within > real(s, MASS), one if centre > half else zero
     low, high = low if some else edge, high if some else edge
@@ -75,12 +75,11 @@ def share_below(sums: Any, j: int, soc: Any) -> Any:
 
 
 @inline
-def quantile(sums: Any, low: Any, high: Any, mass: Any) -> Any:
-    """The SoC within `low`..`high` that has `mass` below it.
+def quantile(sums: Any, low: Any, high: Any, to_low: Any, to_high: Any, mass: Any) -> Any:
+    """The SoC within `low`..`high`, which have `to_low` and `to_high` below them, that has `mass` below it.
 
     The last interval is interpolated: a middle alone would move by whole intervals, as rounding decides.
     """
-    to_low, to_high = mass_below(sums, low), mass_below(sums, high)
     for _ in range(BISECTIONS):
         middle = (low + high) * real(sums, 0.5)
         to_middle = mass_below(sums, middle)
