@@ -23,7 +23,9 @@ LIMITS = Limits(current_A=(-200.0, 200.0))  # so that the voltage limits
 def known(socs: list[float], loads: float = 0.0, **settings) -> tuple[Pack, PackEstimate, list[ModelCell]]:
     """A pack of model cells, known well, after ten minutes around `loads`, A: r0 shows where a current changes."""
     models = [ModelCell(STEADY, soc) for soc in socs]
-    estimator = Estimator(STEADY, len(socs), Tuning(initial_soc=float(np.mean(socs)), current_bias=False))
+    sigma = max(0.005, float(np.std(socs)))
+    tuning = Tuning(initial_soc=float(np.mean(socs)), initial_soc_sigma=sigma, current_bias=False)
+    estimator = Estimator(STEADY, len(socs), tuning)
     pack = Pack(estimator, settings.pop("limits", LIMITS))
     for k in range(600):
         load = loads * (0.4 if k % 20 < 10 else 1.6) if k < 540 else loads

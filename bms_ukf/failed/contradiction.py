@@ -1,9 +1,9 @@
 """Whether the intervals of SoC contradict each other, by the charge that flowed between them.
 
 An interval that is right, moved by the charge that flowed since, overlaps every later one that is right. Intervals of
-three sigmas are compared: of 95 % intervals one in twenty misses the truth by a little. Where two do not overlap, one of
-them was wrong, or the current between them is: nobody can tell which, so none of them is a promise. This finds what no
-step of a load shows: a current that is clipped, halved or dead since before the first sample, a voltage that stands
+three sigmas are compared: of 95 % intervals one in twenty misses the truth by a little. Where two do not overlap, one
+of them was wrong, or the current between them is: nobody can tell which, so none of them is a promise. This finds what
+no step of a load shows: a current that is clipped, halved or dead since before the first sample, a voltage that stands
 still or jumps, a start that was sure of the wrong SoC.
 """
 

@@ -26,6 +26,7 @@ FINE = 2  # times PARTS: intervals of SoC
 PASSES = HISTORIES * FINE  # to find where mass is; as many to collect it
 
 PARKED = 0.95  # probability of no load before a first current that is none
+PARKED_IN_GAP = 0.7  # the same for no load in a gap of the current, or before a doubt
 LOADED_YET_PARKED = 0.05  # and before one that is a load
 STRAY = 0.05  # probability that a SoC believed before a first voltage is anything else
 DOUBTED = 0.5  # and where voltages have contradicted it
@@ -176,7 +177,8 @@ def hypothesis(p: Any, w: Any, m: Any, c: int, loaded: int) -> Any:
     """Probability of the history, by the first current."""
     i = w[m.lanes * k.H_THROUGH + c] * w[m.lanes * k.H_PER_CAPACITY + c]
     idle = abs(i) <= p[k.P_EXCITED] / real(w, 2)
-    parked = real(w, PARKED) if idle else real(w, LOADED_YET_PARKED)
+    rested = real(w, PARKED) if w[m.lanes * k.H_FRESH + c] > real(w, 0) else real(w, PARKED_IN_GAP)
+    parked = rested if idle else real(w, LOADED_YET_PARKED)
     return real(w, 1) - parked if loaded else parked
 
 
