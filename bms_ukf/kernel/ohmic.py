@@ -54,7 +54,7 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         unknown = w[W * k.H_CURRENT_AGE + c] > p[k.P_CURRENT_TIMEOUT]
         r0, u = y[W * k.Y_R0 + c], y[W * k.Y_OHMIC + c]
         ohmic = r0 * y[W * (k.Y_DYN + k.D_KNEE) + c] * (times * asinh_small(p, u / y[W * k.Y_SCALE + c]))
-        small = r0 * real(p, SMALL_LOAD) * p[k.P_STILL]
+        small = small_load(p, w, m, c) * r0
         recent = w[W * k.H_RECENT + c]
         alive = y[W * k.Y_ALIVE + c] > zero  # before a belief the temperature may not be known yet
         recent = recent if (recent - recent == zero) & alive else ohmic
@@ -76,6 +76,12 @@ def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
         fast = math.sqrt(fast * fast + moved * moved) if stale else fast
         y[W * k.Y_DROP_SIGMA + c] = lasting * ohmic if unknown else fast
         w[W * k.H_RECENT + c] = recent if unknown else recent + (ohmic - recent) * passed
+
+
+@inline
+def small_load(p: Any, w: Any, m: Any, c: int) -> Any:
+    """Of the cell as large as it is here, A: a parallel group takes more."""
+    return real(p, SMALL_LOAD) * p[k.P_STILL] / w[m.lanes * k.H_PER_CAPACITY + c]
 
 
 @inline

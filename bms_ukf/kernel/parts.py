@@ -167,7 +167,7 @@ def share_current(p: Any, w: Any, y: Any, b: Any, v: Any, m: Any, mb: Any, c: in
     r0 = k.D_R0 if w[W * k.H_THROUGH + c] >= real(w, 0) else k.D_R0_CHARGE
     of_cell = y[W * (k.Y_DYN + r0) + c]
     used = w[W * k.H_USED + c] if y[W * k.Y_DROP + c] != real(w, 0) else real(w, 0)
-    small = real(w, ohmic.SMALL_LOAD) * p[k.P_STILL] * of_cell
+    small = ohmic.small_load(p, w, m, c) * of_cell
     stood = ohmic.beyond(used, small)
     for lane in range(B):
         v[B * k.Y_DROP + lane] = y[W * k.Y_DROP + c] + stood * (v[B * (k.Y_DYN + r0) + lane] / of_cell - real(w, 1))
