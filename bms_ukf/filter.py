@@ -104,7 +104,8 @@ class Filter:
 
     @property
     def innovation_var_V2(self) -> float:
-        return self._value(layout.Y_VARIANCE)
+        """Of one reading by itself, as in `Estimate`: what `update` adds for readings that crowd is not in it."""
+        return self._value(layout.Y_VARIANCE) - self._value(layout.Y_CROWDED)
 
     def _value(self, slot: int) -> float:
         work: Any = self._work
