@@ -20,6 +20,8 @@ from bms_ukf.kernel import params as figures
 
 Array = NDArray[np.float64]
 RECENT_S = 3.0  # how long a change of the current leaves a fast voltage error
+FAST_S = 40.0  # how long a fast error of the model lasts: readings that crowd in so long are together worth one
+SMALL_LOAD_PER_H = 0.01  # of the capacity: the drop of less says nothing of r0
 REPEATS_S = 60.0  # over which the share of repeated readings is taken
 REPEATS_MOST = 300.0  # readings that count as one at most
 
@@ -84,6 +86,7 @@ class Cell:
     dynamics: Callable[[float, float], dict[str, float]]  # of the same
     ukf: Ukf | None = None
     age: float = 1.0  # s since the last voltage; before the first, none was near
+    own_var: float = math.nan  # of the last innovation, V^2, had its voltage been alone
 
     def __post_init__(self) -> None:
         cell, noise, spec = self.params.cell, self.params.noise, self.tuning.sensor_spec
@@ -98,10 +101,11 @@ class Cell:
         self.slow_var = figures.SLOW_SIGMA_V**2 + spec.voltage_offset_sigma_V(nominal) ** 2
         self.r0_var = noise.r0_rel_sigma**2 + figures.R0_AGED_SIGMA**2
         self.r0_var += (figures.R0_PER_K * spec.temperature_sigma_K) ** 2
-        self.white = noise.voltage_sigma_V**2 + self.tuning.voltage_white_var_V2 + figures.FAST_SIGMA_V**2
+        self.white = noise.voltage_sigma_V**2 + self.tuning.voltage_white_var_V2
+        self.fast_var = figures.FAST_SIGMA_V**2
         if self.params.hysteresis:
-            self.white += (figures.FAST_HYSTERESIS * float(np.median(self.params.hysteresis.max_V))) ** 2
-        self.fast = math.hypot(figures.FAST_REL, spec.skew_sigma_s)
+            self.fast_var += (figures.FAST_HYSTERESIS * float(np.median(self.params.hysteresis.max_V))) ** 2
+        self.fast_rel = math.hypot(figures.FAST_REL, spec.skew_sigma_s)
         self.repeats, self.last = 0.0, math.nan
 
     def start(self, i: float, voltage: float, temperature: float) -> None:
@@ -124,14 +128,19 @@ class Cell:
             x.append(0.0)
             variances.append(self.offset**2)
         self.ukf = Ukf(np.array(x), np.diag(variances), tuning.alpha, tuning.beta, tuning.kappa)
-        self.recent, _ = self.drop(at, i)
+        self.recent = self.drop(at, i)
         self.polarised = np.zeros(self.n_rc)  # by the current alone, from here on
         self.age, self.last = 0.0, voltage
 
-    def drop(self, at: dict[str, float], i: float) -> tuple[float, float]:
-        """The ohmic drop by the cell file's r0, V, and its slope over the current, ohm."""
+    def drop(self, at: dict[str, float], i: float) -> float:
+        """The ohmic drop by the cell file's r0, V."""
         r0, knee = at["r0_ohm"] if i >= 0 else at["r0_charge_ohm"], at["r0_knee_A"]
-        return r0 * knee * math.asinh(i / knee), r0 / math.hypot(1, i / knee)
+        return r0 * knee * math.asinh(i / knee)
+
+    def scaled(self, drop: float, at: dict[str, float], i: float) -> float:
+        """The part of an ohmic drop that the r0 error scales, V: that beyond the drop of a small load."""
+        small = (at["r0_ohm"] if i >= 0 else at["r0_charge_ohm"]) * SMALL_LOAD_PER_H * self.params.cell.capacity_Ah
+        return drop - min(max(drop, -small), small)
 
     def predict(self, dt: float, i: float, temperature: float) -> None:
         assert self.ukf is not None
@@ -144,21 +153,20 @@ class Cell:
         decays = np.array([math.exp(-dt / at[f"tau{j}_s"]) for j in range(1, self.n_rc + 1)])
         resistances = np.array([at[f"r{j}_ohm"] for j in range(1, self.n_rc + 1)])
         n_rc, hysteresis, horizon = self.n_rc, self.params.hysteresis, tuning.current_error_horizon_s
-        offset = 0.0 if tuning.current_bias else self.offset
+        unseen = 0.0 if tuning.current_bias else self.offset  # of the charge counted
         a_slow = self.kept(dt, i, figures.SLOW_TAU_S, figures.SLOW_SOC)
         a_r0 = self.kept(dt, i, figures.R0_TAU_S, figures.R0_SOC)
-        drop, slope = self.drop(at, i)
+        drop = self.drop(at, i)
         # The lead is that before this sample's noise.
-        self.lead = self.recent + self.polarised.sum()
-        self.slope = slope
-        self.fast_sigma = self.fast * (drop - self.recent)
+        self.lead = self.scaled(self.recent, at, i) + self.polarised.sum()
+        self.drop_sigma = self.fast_rel * (drop - self.recent)
         self.recent += (drop - self.recent) * dt / (dt + RECENT_S)
         self.polarised = decays * self.polarised + (1 - decays) * resistances * i
 
         def f(x: Array) -> Array:
             true_i = i - x[-1] if tuning.current_bias else i
             after = [x[0] - efficiency * true_i * dt / charge]
-            after += [a * v + (1 - a) * r * true_i for a, v, r in zip(decays, x[1:], resistances, strict=False)]
+            after += [a * v + (1 - a) * r * i for a, v, r in zip(decays, x[1:], resistances, strict=False)]
             if hysteresis:
                 a = math.exp(-hysteresis.rate * abs(i) * dt / charge)
                 after.append(a * x[1 + n_rc] + (1 - a) * math.copysign(at["hysteresis_V"], i))
@@ -167,16 +175,17 @@ class Cell:
                 after.append(math.exp(-dt / horizon) * x[-1])
             return np.array(after)
 
-        walk = offset**2 * horizon / charge**2 + self.gain**2 * figures.MOVED * abs(i) / charge
+        walk = unseen**2 * horizon / charge**2 + self.gain**2 * figures.MOVED * abs(i) / charge
         q = [walk * dt]
-        for j, (a, r, sigma) in enumerate(zip(decays, resistances, self.sigmas, strict=True), 1):
-            shifted = r + at["r0_ohm"] if j == n_rc else r
-            own = at["error_scale"] * math.hypot(sigma, noise.rc_rel_sigma * r * i)
-            q.append((1 - a**2) * (own**2 + (offset * shifted) ** 2))
+        for a, r, sigma in zip(decays, resistances, self.sigmas, strict=True):
+            q.append((1 - a**2) * at["error_scale"] ** 2 * (sigma**2 + (noise.rc_rel_sigma * r * i) ** 2))
         if hysteresis:
             own = at["error_scale"] * noise.hysteresis_sigma_V
             q.append(-math.expm1(-2 * hysteresis.rate * abs(i) * dt / charge) * own**2)
-        q += [(1 - a_slow**2) * at["error_scale"] ** 2 * self.slow_var, (1 - a_r0**2) * self.r0_var]
+        slow_var = at["error_scale"] ** 2 * self.slow_var
+        slow_var += (self.offset * (at["r0_ohm"] + resistances.sum())) ** 2  # what the offset drops, a state or not
+        slow_var += (figures.SLOW_REL * self.polarised.sum()) ** 2
+        q += [(1 - a_slow**2) * slow_var, (1 - a_r0**2) * self.r0_var]
         if tuning.current_bias:
             q.append(-math.expm1(-2 * dt / horizon) * self.offset**2)
         self.ukf.predict(f, np.diag(q))
@@ -189,27 +198,31 @@ class Cell:
         """Fuse the voltage of the instant to which `predict` led."""
         assert self.ukf is not None
         at = self.dynamics(float(self.ukf.x[0]), temperature)
-        drop, _ = self.drop(at, i)
+        drop = self.drop(at, i)
         self.repeats += (float(voltage == self.last) - self.repeats) * self.dt / (self.dt + REPEATS_S)
         self.last = voltage
-        variance = at["error_scale"] ** 2 * self.white + self.fast_sigma**2
-        variance /= min(self.age, 1.0)  # voltages that come faster than one a second count for less
+        noise, fast = at["error_scale"] ** 2 * self.white + self.drop_sigma**2, at["error_scale"] ** 2 * self.fast_var
+        # Neither noise nor the fast error is new at every voltage: those that crowd count for less.
+        variance = noise * max(1 / self.age, 1.0) + fast * max(FAST_S / self.age, 1.0)
         variance /= 1 + 1 / REPEATS_MOST - self.repeats
         self.age = 0.0
-        bias, error = self.tuning.current_bias, self.ukf.x[self.r0]
-        now, slope = drop + self.polarised.sum(), self.slope * (1 + error)
+        error = self.ukf.x[self.r0]
+        now = self.scaled(drop, at, i) + self.polarised.sum()
 
         def h(x: Array) -> float:
-            # The prediction has the current of now, its slope over the r0 error that of before. The bias moves the drop
-            # by little: straight in it.
-            ohmic = drop + now * error + self.lead * (x[self.r0] - error) - (slope * x[-1] if bias else 0.0)
+            # The prediction has the current of now, its slope over the r0 error that of before.
+            ohmic = drop + now * error + self.lead * (x[self.r0] - error)
             return self.ocv(x[0], temperature) - float(x[1 : self.r0].sum()) - ohmic
 
-        if not bias:
-            self.ukf.update(h, voltage, variance)
-            return
+        trust = self.trust(variance, at["error_scale"], temperature) if self.tuning.current_bias else 1.0
+        self.ukf.update(h, voltage, variance, trust)
+        self.own_var = self.ukf.S - variance + noise + fast
+
+    def trust(self, variance: float, error_scale: float, temperature: float) -> float:
+        """Share of its gain that the bias takes, of a voltage of `variance`."""
+        assert self.ukf is not None
         noise = self.params.noise
         lasting = sum(sigma**2 for sigma in self.sigmas)
         lasting += noise.hysteresis_sigma_V**2 if self.params.hysteresis and noise.hysteresis_sigma_V else 0.0
         by_soc = self.ukf.explained(lambda soc: self.ocv(soc, temperature))
-        self.ukf.update(h, voltage, variance, by_soc / (by_soc + variance + at["error_scale"] ** 2 * lasting))
+        return by_soc / (by_soc + variance + error_scale**2 * lasting)
