@@ -16,9 +16,8 @@ from rich.console import Console
 
 from bms_ukf import CellParams, Tuning, cli, diagnose, diagnose_view
 from bms_ukf.kernel import layout
-from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import FAST_S
 from bms_ukf.kernel.params import SLOW_SIGMA_V
-from bms_ukf.kernel.voltage import REPEATS_MOST
 from bms_ukf.sensor_spec import SensorSpec
 
 SIZES = [("small", 0.1 / 3), ("medium", 0.1), ("large", 0.2)]
@@ -87,11 +86,11 @@ def test_the_compiled_filter_predicts_the_same_mean_and_variance(cell, soc):
         r0_sigma = math.sqrt(record.params[layout.P_R0_VAR])
         record.x, record.root = [soc, 0.0, 0.0, 0.0, 0.0], np.diag([row["soc_sigma"], *lasting_V(cell), r0_sigma])
         record["parts"] = 0  # the Gaussian is the belief, not a summary of components
-        record["voltage_age"] = VOLTAGE_ERROR_S  # the next voltage is not crowded
+        record["voltage_age"] = FAST_S  # the next voltage is not crowded
         record.tick(0.0, 0.0, 3.7, 25.0)
-        r = record.params[layout.P_VAR_VOLTAGE]
+        r = record.params[layout.P_VAR_VOLTAGE] + record.params[layout.P_FAST_VAR]
         assert record["voltage_pred"] == pytest.approx(row["ukf"]["mean_V"], abs=1e-13)
-        measured_V2 = record["innovation_var"] - r / (1 + 1 / REPEATS_MOST)
+        measured_V2 = record["innovation_var"] - r
         assert measured_V2 == pytest.approx(1e-6 * row["ukf"]["std_mV"] ** 2, rel=1e-11)
         if row["size"] == "medium":
             sound = diagnosis["positive_definite"]
@@ -120,7 +119,11 @@ def test_the_keys_are_those_that_are_documented(found):
     for row in found["bias"]:
         assert set(row) == {"size", "update", "soc_sigma", "outside", "true", "tangent_line", "ukf"}
         assert row["true"]["bias_mV"] == 0
-    assert [row["update"] for row in found["bias"]] == ["components", "components", "components"]
+    assert [row["update"] for row in found["bias"]] == [
+        "sigma points",
+        "components",
+        "components",
+    ]  # sigmas of 3.3, 10 and 20 %
     assert found["step_us"] > 0
 
 

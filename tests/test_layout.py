@@ -78,7 +78,7 @@ MAY_IMPORT = {
     "scaling": {"cell"},
     "open_circuit": {"records"},
     "stuck": {"cell", "records"},
-    "failed": {"cell", "estimator", "failed", "percell", "records", "strings"},
+    "failed": {"cell", "estimator", "failed", "percell", "records", "sensor_spec", "strings"},
     "strings": {"cell", "commissioning", "records", "stuck", "wiring"},
     "alignment": {"records"},
     "intake": {"alignment", "decoder", "frames", "open_circuit", "records"},

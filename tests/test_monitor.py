@@ -107,6 +107,7 @@ def test_health_is_shown_when_it_is_told_and_said_to_be_unknown_before(cells):
     assert "capacity not told yet   r0 not told yet" in told.shown()
     health.capacity, health.segments = np.linspace(0.9, 1.0, cells), np.full(cells, 4)
     health.resistance, health.told_s = np.linspace(1.2, 1.0, cells), np.full(cells, 60.0)
+    health.resistance_sigma = np.full(cells, 0.2)
     told.take(encoder.encode(2 * 10**9, 2))
     lines = told.shown().splitlines()
     (line,) = [line for line in lines if "health" in line]

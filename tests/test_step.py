@@ -381,7 +381,7 @@ def test_components_that_are_not_finite_give_way_to_the_cells_own_gaussian():
 def test_components_beyond_an_end_of_soc_publish_that_end_and_are_never_sure_to_the_digit(soc, current, edge):
     record = Record(CELL, Tuning(initial_soc=soc, initial_soc_sigma=0.01))
     record.tick(0.0, 0.0, record.ocv(soc, 25.0), 25.0)
-    for _ in range(100):
+    for _ in range(150):  # as long as some mass is within 0..1, it is what is published
         record.tick(4.0, current, NAN, 25.0)
     assert record["parts"] == 1.0
     assert record["soc"] == pytest.approx(edge, abs=1e-3)

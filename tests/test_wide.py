@@ -13,7 +13,8 @@ from kernel_record import Record
 
 from bms_ukf import CellParams, Fault, Filter, Tuning
 from bms_ukf.kernel import layout
-from bms_ukf.kernel.adapt import VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import FAST_S
+from bms_ukf.kernel.ohmic import SMALL_LOAD
 
 CELL = synthetic_cell.cell_of(synthetic_cell.nonlinear())
 LINEAR = synthetic_cell.cell_of(synthetic_cell.linear())
@@ -33,7 +34,7 @@ def believing(cell: CellParams, tuning: Tuning, x: list[float], P: np.ndarray, c
     m = filter_._form
     filter_._state[m.x : m.root] = x
     filter_._state[m.root : m.carry] = np.linalg.cholesky(P)[np.tril_indices(m.n)]
-    filter_._state[layout.H_VOLTAGE_AGE] = VOLTAGE_ERROR_S  # the next voltage is not crowded
+    filter_._state[layout.H_VOLTAGE_AGE] = FAST_S  # the next voltage is not crowded
     return filter_
 
 
@@ -63,8 +64,10 @@ def exact_posterior(filter_: Filter, x: list[float], P: np.ndarray, z: float) ->
     after = held[layout.H_POLARISED : layout.H_POLARISED + 2]
     kept = np.array([math.exp(-STEP_S / at["tau1_s"]), math.exp(-STEP_S / at["tau2_s"])])
     before = (after - (1 - kept) * [at["r1_ohm"], at["r2_ohm"]]) / kept
-    lead, now = recent + before.sum(), drop + after.sum()
-    R = (p[layout.P_VAR_VOLTAGE] + (p[layout.P_FAST_REL] * (drop - recent)) ** 2) / (1 + 1 / 300)
+    small = SMALL_LOAD * p[layout.P_STILL] * at["r0_ohm"]  # both drops are above it: an error of r0 scales the rest
+    lead, now = recent - small + before.sum(), drop - small + after.sum()
+    fast = (p[layout.P_FAST_REL] * (drop - recent)) ** 2
+    R = (p[layout.P_VAR_VOLTAGE] + p[layout.P_FAST_VAR] + fast) / (1 + 1 / 300)
     soc = np.linspace(-0.02, 1.02, 20_001)
     x = np.array(x)
     slope = P[1:, 0] / P[0, 0]
