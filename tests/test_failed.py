@@ -168,7 +168,10 @@ def test_what_a_failed_sensor_said_is_taken_back_and_missing_until_it_is_right(c
     assert max(errors[AT_S:named]) > 0.0
     missing = slice(named, AT_S + 200)
     assert all(error < 3.0 * sigma for error, sigma in zip(errors[missing], sigmas[missing], strict=True))
-    assert sigmas[named] > 2.0 * sigmas[AT_S - 1], "the time since is a gap"
+    charge_A, discharge_A = cell.cell.current_limits_A
+    unknown_As = (discharge_A - charge_A) / 2 * (named - AT_S)  # one sigma; the voltage at the end takes some of it
+    gained = math.sqrt(max(sigmas[named] ** 2 - sigmas[AT_S - 1] ** 2, 0.0))
+    assert gained > 0.75 * unknown_As / 3600 / cell.cell.capacity_Ah, "the time since is a gap"
     told = [record.levelno for record in caplog.records]
     assert told == [logging.ERROR, logging.INFO], "once each"
 
@@ -244,6 +247,15 @@ def test_a_wide_interval_and_a_gap_in_the_current_contradict_nothing(cell):
         half = 0.01 if (k % 1000 < 500 and k < 1800) or k > 1900 else 0.3
         shown_A = NAN if 1700 < k < 1850 else 0.0
         contradiction.take(k * SECOND_NS, shown_A, Estimate(soc=soc, soc_low=soc - half, soc_high=soc + half))
+        assert not contradiction.stands(k * SECOND_NS)
+
+
+@pytest.mark.parametrize("spike_A", [500.0, -500.0, math.inf])
+def test_a_current_that_the_filter_ignores_moves_no_charge_between_intervals(cell, spike_A):
+    contradiction = Contradiction(Estimator(cell))
+    for k in range(600):
+        shown_A = spike_A if k % 30 == 29 else 0.0
+        contradiction.take(k * SECOND_NS, shown_A, Estimate(soc=0.6, soc_low=0.58, soc_high=0.62))
         assert not contradiction.stands(k * SECOND_NS)
 
 

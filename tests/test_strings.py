@@ -404,7 +404,9 @@ def test_the_sensor_with_the_wrong_sign_is_named_and_the_other_is_not_accused(ce
 
 def test_a_current_that_stands_still_is_missing_for_its_own_string(cell, caplog):
     estimator, missing = Estimator(cell, 4, wiring=WIRING), np.zeros(2)
-    watch, estimate = failed.Watch(estimator), Estimate(soc=np.full(4, 0.6))
+    # The intervals say nothing: this is about the sensor.
+    watch = failed.Watch(estimator)
+    estimate = Estimate(soc=np.full(4, 0.6), soc_low=np.zeros(4), soc_high=np.ones(4))
     for sample in driven(cell, 400):
         if sample.t_ns > 200 * SECOND_NS:
             sample.string_current_A[1] = 1.5

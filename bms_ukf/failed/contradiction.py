@@ -35,6 +35,8 @@ class Contradiction:
         self._share = BOUND_SIGMAS * tuning.charge_gain_sigma  # of the charge moved, that its count may be off by
         self._offset_A = BOUND_SIGMAS * tuning.sensor_spec.current_offset_sigma_A(capacity_Ah)
         self._per_As = 1.0 / (3600.0 * capacity_Ah)
+        charge_A, discharge_A = estimator.cell.cell.current_limits_A
+        self._least_A, self._most_A = tuning.current_margin * charge_A, tuning.current_margin * discharge_A
         self._adjusted = estimator.adjusted
         self._until_ns: int | None = None
         self.reset()
@@ -61,7 +63,7 @@ class Contradiction:
             moved_As = (t_ns - self._t_ns) * 1e-9 * self._current_A
             self._charge += moved_As * self._per_As
             self._loose += abs(moved_As) * self._share
-        if current_A == current_A:  # noqa: PLR0124
+        if self._least_A <= current_A <= self._most_A:  # the filter does not count a spike either
             self._current_A, self._heard_ns = current_A, t_ns
         self._t_ns = t_ns
         if t_ns - self._checked_ns >= EVERY_NS and self._current_A == self._current_A:
