@@ -6,8 +6,10 @@ import math
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from drives import CELL
+from kernel_record import Record
 
 from bms_ukf import ConfigError, Estimator, SensorSpec, Tuning, service, toml
 from bms_ukf.cli.group import cli
@@ -80,8 +82,36 @@ def test_soc_walks_by_the_gain_of_the_sensor_and_the_doubt_of_the_capacity():
 
 
 def test_the_default_offset_is_a_fiftieth_of_the_capacity_an_hour():
-    assert header()[k.P_BIAS_SIGMA] == pytest.approx(CELL.cell.capacity_Ah / 50 / 1.96)
-    assert header(current_bias=False)[k.P_CURRENT_OFFSET] == pytest.approx(CELL.cell.capacity_Ah / 50 / 1.96)
+    for current_bias in (True, False):
+        offset_A = header(current_bias=current_bias)[k.P_BIAS_SIGMA]
+        assert offset_A == pytest.approx(CELL.cell.capacity_Ah / 50 / 1.96)
+
+
+def test_an_offset_lets_soc_walk_unless_it_is_a_state():
+    """Redrawn every H seconds, it moves SoC by sigma H each time: a variance of sigma^2 H a second."""
+    offset = SensorSpec(current_offset_A=0.392)
+    without = header(sensor_spec=offset, current_bias=False, current_error_horizon_s=1800.0)
+    charge = 3600 * CELL.cell.capacity_Ah
+    assert without[k.P_SOC_WALK_OFFSET] == pytest.approx((0.2 / charge) ** 2 * 1800)
+    assert header(sensor_spec=offset)[k.P_SOC_WALK_OFFSET] == 0
+
+
+@pytest.mark.parametrize("current_bias", [True, False])
+def test_what_an_offset_drops_on_all_resistances_is_a_slow_error_of_the_voltage(current_bias):
+    """Also at rest, and also where the offset is a state: no voltage tells that state."""
+    variances = []
+    for offset_A in (0.392, 1e-6):
+        spec = SensorSpec(current_offset_A=offset_A)
+        record = Record(CELL, Tuning(sensor_spec=spec, current_bias=current_bias, initial_soc=0.5))
+        record.tick(0.0, 0.0, float(CELL.ocv_V(0.5, 25.0)), 25.0)
+        n = len(record.x)
+        record["parts"], record.x, record.root = 0.0, [0.5] + [0.0] * (n - 1), 1e-6 * np.eye(n)
+        record.tick(4.0, 0.0, math.nan, 25.0)
+        variances.append(record.P[3, 3])
+    at = record.dynamics(0.5, 25.0)
+    drop_V = 0.2 * (at["r0_ohm"] + at["r1_ohm"] + at["r2_ohm"])
+    renewed = -math.expm1(-2 * 4.0 / record.params[k.P_SLOW_TAU])
+    assert variances[0] - variances[1] == pytest.approx(renewed * drop_V**2, rel=1e-6)
 
 
 def test_offset_and_gain_of_the_voltage_add_as_independent_errors_at_the_nominal_voltage():

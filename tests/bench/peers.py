@@ -1,8 +1,9 @@
 """Published Python packages with an unscented or cubature filter, on the same cell: what `test_bench_peers` measures.
 
 The problem: 2 A of discharge at 25 degC, a voltage every second, the states SoC and two RC voltages. Every peer is told
-what the kernel believes of the cell, and gets its model in the fastest form it accepts: compiled functions of all sigma
-points at once, or, where it asks for one point at a time, plain numbers in and out with only the OCV compiled.
+what the kernel believes of the cell, its states for errors that last as a part of R, and gets its model in the fastest
+form it accepts: compiled functions of all sigma points at once, or, where it asks for one point at a time, plain numbers
+in and out with only the OCV compiled.
 Resistances and time constants are looked up once a step, as the kernel does; Q and R are set once, which spares the
 peers what the kernel does in every step.
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from bms_ukf import CellParams, Tuning
 from bms_ukf.kernel import entry, layout
+from bms_ukf.kernel.adapt import FAST_S
 from bms_ukf.kernel.params import params
 
 CURRENT_A, TEMPERATURE_DEGC, DT_S = 2.0, 25.0, 1.0
@@ -53,7 +55,7 @@ def voltages(points: Array, ocv: Array, drop: float) -> Array:
 class Model:
     """The cell at 2 A and 25 degC for any peer: x and P to start from, Q (3, 3), R in V^2, and the two functions.
 
-    Q and R are the kernel's at the SoC of the start (`kernel.process.relax_rc`), x and P its first belief
+    Q and R are the kernel's at the SoC of the start (`kernel.process`, `kernel.voltage`), x and P its first belief
     (`kernel.belief.start`). `schedule` chooses the parameters of the step to come.
     """
 
@@ -73,11 +75,17 @@ class Model:
 
         k = self._knot(tuning.initial_soc)
         model_variance = p[layout.P_VAR_V : layout.P_VAR_V + 2]
-        shift = p[layout.P_CURRENT_OFFSET] * (r[:, k] + [0, at["r0_ohm"][k]])
-        stationary = model_variance + (p[layout.P_RC_REL] * r[:, k] * CURRENT_A) ** 2 + shift**2
-        soc_walk = DT_S * (p[layout.P_SOC_WALK_OFFSET] + p[layout.P_SOC_WALK_GAIN] * CURRENT_A**2)
+        stationary = model_variance + (p[layout.P_RC_REL] * r[:, k] * CURRENT_A) ** 2
+        moved = CURRENT_A * DT_S
+        soc_walk = DT_S * p[layout.P_SOC_WALK_OFFSET] + p[layout.P_SOC_WALK_GAIN] * moved
         self.Q = np.diag([soc_walk, *((1 - a[:, k] ** 2) * stationary)])
-        self.R = float(p[layout.P_VAR_VOLTAGE] + (p[layout.P_R0_REL] * drop[k]) ** 2)
+        # Three states have none for the errors that last: they are part of R, as if new at every reading. The drop has
+        # stood for longer than its own error lasts.
+        offset_V = p[layout.P_BIAS_SIGMA] * (at["r0_ohm"][k] + r[:, k].sum())
+        slow = p[layout.P_SLOW_VAR] + offset_V**2 + (p[layout.P_SLOW_REL] * r[:, k].sum() * CURRENT_A) ** 2
+        resistance = p[layout.P_R0_VAR] * (drop[k] + r[:, k].sum() * CURRENT_A) ** 2
+        crowded = p[layout.P_VAR_VOLTAGE] + p[layout.P_FAST_VAR] * FAST_S / DT_S
+        self.R = float(crowded + slow + resistance)
         self.x = np.array([tuning.initial_soc, *(r[:, k] * CURRENT_A / 2)])
         unseen_A = math.hypot(p[layout.P_INITIAL_CURRENT], CURRENT_A / 2)
         self.P = np.diag([tuning.initial_soc_sigma**2, *(model_variance + (r[:, k] * unseen_A) ** 2)])
