@@ -1,9 +1,9 @@
 """Published Python packages with an unscented or cubature filter, on the same cell: what `test_bench_peers` measures.
 
 The problem: 2 A of discharge at 25 degC, a voltage every second, the states SoC and two RC voltages. Every peer is told
-what the kernel believes of the cell, its states for errors that last as a part of R, and gets its model in the fastest
-form it accepts: compiled functions of all sigma points at once, or, where it asks for one point at a time, plain numbers
-in and out with only the OCV compiled.
+what the kernel believes of the cell, its states for errors that last as a part of R. It gets its model in the fastest
+form it accepts: compiled functions of all sigma points at once, or, where it asks for one point at a time, plain
+numbers in and out with only the OCV compiled.
 Resistances and time constants are looked up once a step, as the kernel does; Q and R are set once, which spares the
 peers what the kernel does in every step.
 
