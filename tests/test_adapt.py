@@ -53,7 +53,8 @@ def test_resistances_of_half_to_twice_the_files_are_found_within_minutes_of_a_dr
     *sample, soc = driven(1200, times, rate_hz=rate_hz)
     got = Estimator(CELL).replay(*sample)
     assert abs(got["r0_ohm"][0] / R0 - 1) < 0.1  # it did start from the file's
-    assert got["r0_ohm"][-300 * rate_hz :] / R0 == pytest.approx(times, abs=0.05)
+    # r0_error is drawn to 0, that is to the file's, all the time: some 5 % of the difference are never found.
+    assert got["r0_ohm"][-300 * rate_hz :] / R0 == pytest.approx(times, abs=0.1 * abs(times - 1))
     assert np.abs(got["soc"] - soc)[-300 * rate_hz :].max() < 0.005
 
 
@@ -95,8 +96,8 @@ def test_an_offset_of_the_current_does_not_move_r0(offset_A):
 def test_resistances_and_an_offset_wrong_at_once_are_told_apart_and_stay_so(times, offset_A):
     """Together they are bilinear: both change the level of the voltage. Six hours, most of a charge and back.
 
-    Of an offset, the voltage shows the part that is larger than the errors of the model: a tenth, as the slow voltage
-    error explains most of it.
+    An offset shows in the voltage by way of SoC only, and the bias takes a small share of that gain: two sigmas of an
+    offset are hardly found in six hours. What is found must have its sign, and none of it may be an error of r0.
     """
     steps = 6 * 3600
     current = load(steps) - 0.4 + 1.2 * np.sin(2 * np.pi * np.arange(steps) / 7200)
@@ -107,7 +108,7 @@ def test_resistances_and_an_offset_wrong_at_once_are_told_apart_and_stay_so(time
     last = slice(-7200, None)
     assert got["r0_ohm"][last] / R0 == pytest.approx(times, abs=0.06)
     found = got["current_bias_A"][last] / offset_A
-    assert found.min() > 0.05
+    assert found.min() > 0
     assert found.max() < 1.0
     assert np.ptp(found) < 0.1
     assert np.abs(got["soc"] - soc)[last].max() < 0.02
@@ -134,7 +135,8 @@ def scales(estimator: Estimator, steps: int, noise_V: float, start: int) -> list
 
 def test_the_voltage_error_grows_while_the_model_errs_more_and_comes_back():
     estimator = Estimator(CELL, tuning=Tuning(current_bias=False))
-    own = math.sqrt(params(CELL, Tuning())[layout.P_VAR_VOLTAGE])
+    told = params(CELL, Tuning())
+    own = math.sqrt(told[layout.P_VAR_VOLTAGE] + told[layout.P_FAST_VAR])  # of one reading
     as_told, worse = scales(estimator, 1800, own, 0), scales(estimator, 1800, 4 * own, 1800)
     after = scales(estimator, 1800, own, 3600)
     assert max(as_told) < 2

@@ -183,4 +183,8 @@ def test_ten_hours_at_rest_on_a_plateau_neither_move_a_belief_nor_make_it_sure(r
     soc, sigma = got["soc"][5 * rate_hz :], got["soc_sigma"][5 * rate_hz :]
     assert sigma[0] > 0.1
     assert np.ptp(soc) < 0.5 * sigma[0]
-    assert sigma.min() > 0.7 * sigma[0]
+    # The fast errors of many readings cancel out in an hour or two. Those that last do not: by them SoC stays in doubt.
+    settled = slice(7200 * rate_hz, None)
+    assert sigma.min() > 0.5 * sigma[0]
+    assert sigma[settled].min() > 0.9 * sigma[settled][0]
+    assert np.ptp(soc[settled]) < 0.1 * sigma[settled][0]
