@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-import tomllib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import hypothesis
 import pytest
@@ -103,26 +102,3 @@ def flaky(settled):
     settled.bus._bus, settled.bus._opener = flaky, lambda: flaky
     yield flaky
     flaky.inner.shutdown()
-
-
-# --- known failures -------------------------------------------------------------------------------------------------
-
-KNOWN = tomllib.loads((Path(__file__).parent / "known_failures.toml").read_text(encoding="utf-8"))
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Expect what `known_failures.toml` lists to fail; it is counted and named at the end of every run."""
-    for item in items:
-        node = item.nodeid.removeprefix("tests/")
-        for group in KNOWN["failure"]:
-            if node in group["tests"] or node.split("[")[0] in group["tests"]:
-                item.add_marker(pytest.mark.xfail(reason=group["why"], strict=False))
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """Name the failures that are known, so that nobody takes the run for clean."""
-    expected = terminalreporter.stats.get("xfailed", [])
-    if expected:
-        terminalreporter.section(f"{len(expected)} known failures: tests/known_failures.toml")
-        for report in expected:
-            terminalreporter.line(f"{report.nodeid}: {report.wasxfail}")

@@ -11,10 +11,12 @@ from bms_ukf.kernel.adapt import FAST_S, VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import between_rows, is_number, ocv_cubic, ocv_interval
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
-from bms_ukf.kernel.process import TINY_ROOT
 from bms_ukf.kernel.srukf import innovate, update
 from bms_ukf.records import Fault
 
+AT_ONCE_S = (
+    1e-3  # voltages closer than this count as so far apart: float32 has to tell their variance from the crowding's
+)
 REPEATS_MOST = 300.0  # readings that count as one at most
 INNOVATION_REJECTED = float(Fault.INNOVATION_REJECTED)
 
@@ -58,7 +60,7 @@ def innovations(p: Any, w: Any, y: Any, m: Any, lanes: int) -> None:
         z = y[W * k.Y_VOLTAGE + c]
         sigma = y[W * k.Y_DROP_SIGMA + c]
         # Neither sensor nor model errors are new at every reading: readings that crowd are each worth less.
-        age = max(w[W * k.H_VOLTAGE_AGE + c], real(p, TINY_ROOT))
+        age = max(w[W * k.H_VOLTAGE_AGE + c], real(p, AT_ONCE_S))
         error, scale = y[W * (k.Y_DYN + k.D_ERROR) + c], w[W * k.H_VOLTAGE_SCALE + c]
         noise, fast = error * error * p[k.P_VAR_VOLTAGE] + sigma * sigma, error * error * p[k.P_FAST_VAR]
         r = noise * max(real(p, VOLTAGE_ERROR_S) / age, real(p, 1)) + fast * max(real(p, FAST_S) / age, real(p, 1))
