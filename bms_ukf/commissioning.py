@@ -23,7 +23,7 @@ ENOUGH = 40.0  # steps, as far as they are remembered
 CORRELATED = 0.6  # over so many steps by chance once in ten thousand drives
 OUTLIER = 4.0  # times the rms of the steps so far
 MOVED_V = 0.002  # rms of the voltage's steps: below it, its own resolution is seen
-FACTOR = 6.0  # temperature, age and the knee of the resistance explain less; a wrong unit is 10 or 1000
+FACTOR = 6.0  # temperature and age explain less; a wrong unit is 10 or 1000
 
 
 class Commissioning:
@@ -36,11 +36,13 @@ class Commissioning:
         self.slope_ohm = math.nan  # of voltage over current, below 0 if all is well
         self.steps = 0.0  # that it rests upon
         self._cell, self._temperature_degC = cell, 25.0
-        self._r0: dict[int, float] = {}
+        self._limits_A = cell.cell.current_limits_A
+        self._ohmic: dict[int, tuple[float, float]] = {}  # r0, ohm, and its knee, A
         self._current_A = math.nan
         self._last: tuple[int, float, float] | None = None  # time, current and voltage
         self._index = 0  # of the cell that is looked at
         self._xx = self._xy = self._yy = 0.0
+        self._expected = 0.0  # what the sum of products of current and voltage steps would be by the cell file
 
     def see(self, sample: Sample) -> None:
         if math.isfinite(sample.current_A):
@@ -59,7 +61,8 @@ class Commissioning:
             return
         self._last = sample.t_ns, self._current_A, voltage_V
         if last is not None and apart_s <= SPACING_S[1]:
-            self._add(self._current_A - last[1], voltage_V - last[2])
+            expected_V = self._drop_V(last[1]) - self._drop_V(self._current_A)
+            self._add(self._current_A - last[1], voltage_V - last[2], expected_V)
 
     def _voltage(self, t_ns: int, voltage: NDArray[np.float64]) -> float:
         """That of one cell, always the same one unless it is heard no more."""
@@ -70,9 +73,10 @@ class Commissioning:
     def _silent(self, t_ns: int) -> bool:
         return self._last is None or (t_ns - self._last[0]) * 1e-9 > 2 * SPACING_S[1]
 
-    def _add(self, current_step_A: float, voltage_step_V: float) -> None:
+    def _add(self, current_step_A: float, voltage_step_V: float, expected_V: float) -> None:
         share = min(self._share(current_step_A, self._xx), self._share(voltage_step_V, self._yy))
         current_step_A, voltage_step_V = share * current_step_A, share * voltage_step_V
+        self._expected = MEMORY * self._expected + current_step_A * share * expected_V
         self.steps = MEMORY * self.steps + 1.0
         self._xx = MEMORY * self._xx + current_step_A**2
         self._xy = MEMORY * self._xy + current_step_A * voltage_step_V
@@ -96,14 +100,27 @@ class Commissioning:
         self.slope_ohm = self._xy / self._xx
         if self.slope_ohm > 0:
             return Fault.CURRENT_SIGN
-        return Fault.NONE if 1 / FACTOR < -self.slope_ohm / self._r0_ohm() < FACTOR else Fault.CURRENT_SCALE
+        return Fault.NONE if self._expected < 0.0 and 1 / FACTOR < self._ratio < FACTOR else Fault.CURRENT_SCALE
 
-    def _r0_ohm(self) -> float:
-        """At half charge, of the nearest whole degree: looked up once, as it takes longer than all the rest."""
+    @property
+    def _ratio(self) -> float:
+        """Of the voltage's steps to those that the cell file expects of the current's."""
+        return self._xy / self._expected if self._expected else math.inf
+
+    def _drop_V(self, current_A: float) -> float:
+        """Ohmic, at half charge and the nearest whole degree: looked up once, as it takes longer than all the rest.
+
+        The knee of the resistance is in it: over the steps of a cold LFP cell its slope is an eighth of that at rest.
+        Beyond the currents of the cell the drop goes on straight: a logarithm would hide a wrong unit.
+        """
         degree = round(self._temperature_degC)
-        if degree not in self._r0:
-            self._r0[degree] = float(self._cell.dynamics_at(0.5, degree)["r0_ohm"])
-        return self._r0[degree]
+        if degree not in self._ohmic:
+            values = self._cell.dynamics_at(0.5, degree)
+            self._ohmic[degree] = float(values["r0_ohm"]), float(values["r0_knee_A"])
+        r0_ohm, knee_A = self._ohmic[degree]
+        within_A = min(max(current_A, self._limits_A[0]), self._limits_A[1])
+        beyond_A = (current_A - within_A) / math.hypot(1.0, within_A / knee_A)
+        return r0_ohm * (knee_A * math.asinh(within_A / knee_A) + beyond_A)
 
     def _tell(self) -> None:
         seen = f"over {self.steps:.0f} steps the voltage changes by {1e3 * self.slope_ohm:.3g} mV per A of discharge"
@@ -111,11 +128,10 @@ class Commissioning:
             told = {"of": self._of, "seen": seen}
             log.error("current%(of)s: %(seen)s: its sign is wrong (signals.current_positive)", told)
         elif self.fault is Fault.CURRENT_SCALE:
-            ratio = -self.slope_ohm / self._r0_ohm()
             log.error(
                 "current%(of)s: %(seen)s, %(ratio).3g times what the cell's resistance explains: its scale is wrong, "
                 "or that of the cell (signals.unit, parallel_cells, capacity_scale)",
-                {"of": self._of, "seen": seen, "ratio": ratio},
+                {"of": self._of, "seen": seen, "ratio": self._ratio},
             )
         else:
             log.info("current%(of)s: %(seen)s: its sign and scale are right", {"of": self._of, "seen": seen})

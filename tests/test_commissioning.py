@@ -13,6 +13,7 @@ import pytest
 from model_cell import ModelCell
 
 from bms_ukf import CellParams, Fault, Sample
+from bms_ukf.campaign import traces
 from bms_ukf.commissioning import Commissioning
 from bms_ukf.scaling import scaled
 
@@ -147,3 +148,16 @@ def test_the_sign_of_a_real_drive_is_told(leaf, cell, sign, expected) -> None:
         commissioning.see(Sample(t_ns, sign * current_A, voltage_V / 96, 25.0))
     assert commissioning.fault is expected
     assert math.isfinite(commissioning.slope_ohm)
+
+
+def test_a_cell_whose_resistance_falls_with_the_current_is_not_accused():
+    """The campaign's LFP cell at 0 degC: 0.5 ohm at rest, 0.06 ohm over the steps of its own drive."""
+    trace = traces.load("prada2013/long_rest_0degC")
+    cell = CellParams.load(traces.cell_file(trace))
+    check = Commissioning(cell)
+    for k, current_A in enumerate(trace.current_A):
+        check.see(
+            Sample((k + 1) * 10**9, float(current_A), float(trace.voltage_V[k, 0]), float(trace.temperature_degC[k]))
+        )
+    assert check.steps > 40
+    assert check.fault is Fault.NONE
