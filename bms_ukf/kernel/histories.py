@@ -25,7 +25,7 @@ from bms_ukf.kernel.srukf import update
 FINE = 2  # times PARTS: intervals of SoC
 PASSES = HISTORIES * FINE  # to find where mass is; as many to collect it
 
-PARKED = 0.95  # probability of no load before a first current that is none
+PARKED = 0.9  # probability of no load before a first current that is none
 PARKED_IN_GAP = 0.7  # the same for no load in a gap of the current, or before a doubt
 LOADED_YET_PARKED = 0.05  # and before one that is a load
 STRAY = 0.05  # probability that a SoC believed before a first voltage is anything else
