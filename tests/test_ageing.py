@@ -67,10 +67,14 @@ def recorded(cell: str, file: object) -> Health:
     ],
 )
 def test_a_drive_of_a_real_cell_shows_no_ageing(third_party, cell, file):
-    """Nobody rests for half an hour within one, so nothing is said of capacity; r0 is what the cell file has."""
+    """Nobody rests for half an hour within one, so nothing is said of capacity; r0 is what the cell file has.
+
+    The hysteresis of LFP hides r0 for longer than one drive: then nothing may be said of it.
+    """
     health = recorded(cell, third_party / cell / file)
     assert np.isnan(health.told_capacity[0])
-    assert health.told_resistance[0] == pytest.approx(1.0, abs=0.15)
+    told = health.told_resistance[0]
+    assert told == pytest.approx(1.0, abs=0.15) or (cell == "a123_lfp" and np.isnan(told))
 
 
 @pytest.mark.parametrize("temperature", ["25degC", "10degC", "n10degC"])
