@@ -23,7 +23,7 @@ ENOUGH = 40.0  # steps, as far as they are remembered
 CORRELATED = 0.6  # over so many steps by chance once in ten thousand drives
 OUTLIER = 4.0  # times the rms of the steps so far
 MOVED_V = 0.002  # rms of the voltage's steps: below it, its own resolution is seen
-FACTOR = 6.0  # temperature and age explain less; a wrong unit is 10 or 1000
+LEAST, MOST = 1 / 3, 6.0  # times the file's resistance: what temperature and age explain; a wrong unit is 10 or 1000
 
 
 class Commissioning:
@@ -100,24 +100,33 @@ class Commissioning:
         self.slope_ohm = self._xy / self._xx
         if self.slope_ohm > 0:
             return Fault.CURRENT_SIGN
-        return Fault.NONE if self._expected < 0.0 and 1 / FACTOR < self._ratio < FACTOR else Fault.CURRENT_SCALE
+        # A knee only makes a slope smaller than r0: a table's knee that is too small must not accuse a right current.
+        too_large = -self.slope_ohm >= MOST * self._at_degree()[0]
+        too_small = self._expected >= 0.0 or self._ratio <= LEAST
+        return Fault.CURRENT_SCALE if too_large or too_small else Fault.NONE
 
     @property
     def _ratio(self) -> float:
         """Of the voltage's steps to those that the cell file expects of the current's."""
         return self._xy / self._expected if self._expected else math.inf
 
-    def _drop_V(self, current_A: float) -> float:
-        """Ohmic, at half charge and the nearest whole degree: looked up once, as it takes longer than all the rest.
+    def _at_degree(self) -> tuple[float, float]:
+        """r0, ohm, and its knee, A, at half charge and the nearest whole degree.
 
-        The knee of the resistance is in it: over the steps of a cold LFP cell its slope is an eighth of that at rest.
-        Beyond the currents of the cell the drop goes on straight: a logarithm would hide a wrong unit.
+        Looked up once, as it takes longer than all the rest.
         """
         degree = round(self._temperature_degC)
         if degree not in self._ohmic:
             values = self._cell.dynamics_at(0.5, degree)
             self._ohmic[degree] = float(values["r0_ohm"]), float(values["r0_knee_A"])
-        r0_ohm, knee_A = self._ohmic[degree]
+        return self._ohmic[degree]
+
+    def _drop_V(self, current_A: float) -> float:
+        """Ohmic, with the knee of the resistance: over steps of a cold LFP cell its slope is an eighth of that at rest.
+
+        Beyond the currents of the cell the drop goes on straight: a logarithm would hide a wrong unit.
+        """
+        r0_ohm, knee_A = self._at_degree()
         within_A = min(max(current_A, self._limits_A[0]), self._limits_A[1])
         beyond_A = (current_A - within_A) / math.hypot(1.0, within_A / knee_A)
         return r0_ohm * (knee_A * math.asinh(within_A / knee_A) + beyond_A)
