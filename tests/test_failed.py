@@ -176,6 +176,20 @@ def test_what_a_failed_sensor_said_is_taken_back_and_missing_until_it_is_right(c
     assert told == [logging.ERROR, logging.INFO], "once each"
 
 
+@pytest.mark.parametrize(("period_s", "dead_s"), [(120, 20), (200, 60), (300, 30)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_fails_now_and_then_is_not_used_again_in_between(cell, period_s, dead_s, seed):
+    sensor, used_s, named = CurrentSensor(cell, 1), 0, False
+    for k, sample in enumerate(course(cell, AT_S + 2700, seed)):
+        if k > AT_S and k % period_s < dead_s:
+            sample.current_A = 0.0
+        sensor.see(sample, 0.7)
+        named |= sensor.fault is not Fault.NONE
+        used_s += named and sensor.fault is Fault.NONE
+    assert named
+    assert used_s <= 300  # of 2700: once, and until it fails again
+
+
 def test_the_fault_is_on_the_bus_and_the_status_not_ok(cell):
     with rig_of(cell) as rig:
         told = []

@@ -4,7 +4,7 @@
 
 The voltage's own changes tell: nothing else knows the current. While a sensor is failed its readings are looked at all
 the same, and once they explain the voltage again, with no load unseen for as long as it takes, the fault is over. What
-fails again waits twice as long.
+fails again waits twice as long, and what fails now and then waits for twice the time that it was right in between.
 
 Where the limit lies: a sensor that fails at rest, or under a load that does not change, by reading what it should read
 is right until the load changes. A gain error below 1.5 and an offset are not found here, they are in the interval; nor
@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 
 AGREED = 12.0  # log likelihood ratio of the sensor being right
 HOLD_NS, HOLD_MAX_NS = 20_000_000_000, 3_600_000_000_000  # without a load unseen, at first and at most
+PROBATION_NS = 3_600_000_000_000  # in which one load unseen names what failed before
+SPELLS = 2  # times the longest time without a load unseen that another one ended
 SOC_UNKNOWN = 0.5
 
 _TOLD = {
@@ -63,6 +65,7 @@ class CurrentSensor:
         self._steps, self._changed, self._unseen = Steps(), Changed(), Unseen()
         self._voltage_V = math.nan
         self._agreed, self._hold_ns, self._event_ns = 0.0, HOLD_NS, 0
+        self._spell_ns = 0  # the longest between two loads unseen, since it was named
 
     def see(self, sample: Sample, charged: PerCell = math.nan) -> bool:
         """Take note of what was measured; whether `fault` has changed. `charged`: the cells' SoC, about."""
@@ -125,19 +128,24 @@ class CurrentSensor:
 
     def _name(self, fault: Fault, since_ns: int, t_ns: int) -> None:
         self.fault, self.since_ns = fault, since_ns
+        self._spell_ns = t_ns - self._event_ns if self._unseen.is_on_probation(t_ns) else 0
         self._agreed, self._event_ns = 0.0, t_ns
         told = {"of": self._of, "told": _TOLD[fault], "ago": (t_ns - since_ns) * 1e-9}
         log.error("current%(of)s: %(told)s, for %(ago).0f s; taken as missing until it is right again", told)
 
     def _forgive(self, step: Step) -> bool:
+        right_ns = step.t_ns - self._event_ns
         if is_unseen(step):
+            self._spell_ns = max(self._spell_ns, right_ns)
             self._event_ns, self._agreed = step.t_ns, 0.0
+            return False
         self._agreed = max(0.0, self._agreed + agreement(step))
-        if self._agreed < AGREED or step.t_ns - self._event_ns < self._hold_ns:
+        if self._agreed < AGREED or right_ns < max(self._hold_ns, SPELLS * self._spell_ns):
             return False
         self.fault = Fault.NONE
         self._hold_ns = min(2 * self._hold_ns, HOLD_MAX_NS)
         self._changed.reset()
         self._unseen.reset()
+        self._unseen.probation_ns = step.t_ns + PROBATION_NS
         log.info("current%(of)s: explains the voltage again, and is used again", {"of": self._of})
         return True

@@ -2,8 +2,9 @@
 
 Beyond what is left of noise, resolution and relaxation (`steps`), a step of SIGMAS is a load that was not seen: by
 chance one in 5e8. Cells do not do it: three such steps within 120 s were seen once, in pulse tests resampled to 2 s. So
-STEPS of them within WINDOW_S name the sensor. Under a constant load there is only one: it does if the voltage goes on
-as under a load, by LASTS_S; so does a step of the current that the voltage does not follow.
+STEPS of them within WINDOW_S name the sensor; one does if the sensor failed within the last hour. Under a constant load
+there is only one: it does if the voltage goes on as under a load, by LASTS_S; so does a step of the current that the
+voltage does not follow.
 
 Smaller loads add up: while the current stands still, Page's cumulative sum of the log likelihood ratio of a spread
 twice the noise names the sensor at ALARM, which Gaussian noise reaches by chance in e^ALARM steps.
@@ -35,6 +36,7 @@ class Unseen:
     """`since_ns` is when the first of what names the sensor happened; None while nothing does."""
 
     def __init__(self) -> None:
+        self.probation_ns: int | None = None  # until when
         self.reset()
 
     def reset(self) -> None:
@@ -54,6 +56,9 @@ class Unseen:
         """One of what may be several."""
         return bool(self._seen) or self._one is not None
 
+    def is_on_probation(self, t_ns: int) -> bool:
+        return self.probation_ns is not None and t_ns < self.probation_ns
+
     def interrupt(self) -> None:
         """What comes next does not follow what came."""
         self._before.clear()
@@ -66,7 +71,7 @@ class Unseen:
         window_ns = 1e9 * max(WINDOW_S, WINDOW_STEPS * step.dt_s)
         while self._seen and step.t_ns - self._seen[0] > window_ns:
             self._seen.popleft()
-        if len(self._seen) >= STEPS:
+        if len(self._seen) >= (1 if self.is_on_probation(step.t_ns) else STEPS):
             self.since_ns = self._seen[0]
         if step.still:
             self._add(step)
