@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import CellParams, Fault, Status, Tuning
-from bms_ukf.kernel import adapt, ecm, inputs, interval, layout, ohmic, process
+from bms_ukf import CellParams, Estimator, Fault, Status, Tuning
+from bms_ukf.kernel import adapt, bias, ecm, inputs, interval, layout, ohmic, process, voltage
 from bms_ukf.kernel import step as policy
 from bms_ukf.kernel.params import aligned, params
 
@@ -29,17 +29,18 @@ Array = NDArray[np.floating]
 
 def layout_header() -> str:
     """layout.h: the slots and constants of the Python kernel, so that they are written once."""
-    prefixes = ("P_", "T_", "D_", "IN_", "OUT_")
+    prefixes = ("P_", "H_", "T_", "D_", "IN_", "OUT_")
     constants: dict[str, object] = {name: value for name, value in vars(layout).items() if name.startswith(prefixes)}
     for module, names in (
-        (layout, ("LANES", "IO_ROWS", "OCV_COEFFICIENTS")),
+        (layout, ("LANES", "IO_ROWS", "OCV_COEFFICIENTS", "HELD")),
         (ecm, ("FALL_SMALL", "FALL_TERMS", "FALL_DOUBLINGS", "FALL_HALF", "FALL_LARGEST")),
         (ecm, ("ASINH_REACH", "ASINH_HALVINGS")),
-        (inputs, ("UNKNOWN_TEMPERATURE",)),
-        (process, ("TINY_ROOT",)),
-        (ohmic, ("R0_SHAPE",)),
-        (adapt, ("SCALE_S", "SCALE_MAX", "STEP_MAX_S", "R0_SIGMA", "R0_TAU_S", "R0_STEP_S", "R0_CURRENT_S")),
-        (adapt, ("R0_ELSE", "R0_LEAST", "R0_MOST", "R0_BLOCK_S", "R0_ALONE_S", "VOLTAGE_ERROR_S")),
+        (inputs, ("UNKNOWN_TEMPERATURE", "REPEATS_S")),
+        (process, ("TINY_ROOT", "RESOLVED")),
+        (ohmic, ("RECENT_S", "LEADS_S", "SMALL_LOAD", "STALE", "LASTS_S")),
+        (bias, ("REST_S", "PLAUSIBLE")),
+        (adapt, ("SCALE_S", "SCALE_MAX", "STEP_MAX_S", "VOLTAGE_ERROR_S", "FAST_S")),
+        (voltage, ("AT_ONCE_S", "REPEATS_MOST")),
         (policy, ("STATUS_SHIFT", "SOC_SLACK", "SOC_BEYOND")),
         (interval, ("HALF_WIDTHS", "TAIL", "FAR", "SQRT_TWO_PI")),
     ):
@@ -78,21 +79,22 @@ class CKernel:
 
     The buffers are `params`, `cell`, `pack`, and `io`, which has `layout.IO_ROWS` rows of `cells` numbers. `raw` has
     the C functions with their argument types set, `addresses` what they take first: for calls without these wrappers.
+    A new kernel has no belief, and never gets one by itself: `adopt` one of an `Estimator`.
     """
 
     def __init__(self, cell: CellParams, tuning: Tuning | None = None, bits: int = 64, cells: int = 1) -> None:
         tuning = tuning or Tuning()
-        if cell.dynamics.n_rc != 2 or cell.thermal is not None or tuning.current_bias:
-            raise ValueError("the C kernel has two RC pairs, no core temperature and no bias state")
+        if cell.dynamics.n_rc != 2 or cell.thermal is not None or not tuning.current_bias:
+            raise ValueError("the C kernel has two RC pairs, a bias state and no core temperature")
         self.cells = cells
         self.raw = ctypes.CDLL(str(library(bits, cell.hysteresis is not None)))
         pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+        self.raw.cell_adopt.argtypes = [pointer, pointer]
         self.raw.cell_step.argtypes = [pointer, pointer, number, number, number, number]
         self.raw.cell_replay.argtypes = [pointer, pointer, count, pointer, pointer]
+        self.raw.pack_adopt.argtypes = [pointer, pointer, count, count]
         self.raw.pack_tick.argtypes = [pointer, pointer, pointer, count, number, number]
         self.raw.pack_replay.argtypes = [pointer, pointer, pointer, count, count, pointer, pointer]
-        self.raw.cell_reset.argtypes = [pointer]
-        self.raw.pack_reset.argtypes = [pointer, count]
         self.raw.pack_size.argtypes = [count]
         self.raw.cell_size.restype = self.raw.pack_size.restype = ctypes.c_size_t
         self.params = params(cell, tuning, bits)
@@ -103,12 +105,21 @@ class CKernel:
         self.addresses = {name: getattr(self, name).ctypes.data for name in ("params", "cell", "pack", "io")}
         self._one = self.addresses["params"], self.addresses["cell"]
         self._all = self.addresses["params"], self.addresses["pack"], self.addresses["io"], cells
-        self.reset()
 
-    def reset(self) -> None:
-        """Forget everything measured so far, in the cell and in the pack."""
-        self.raw.cell_reset(self.addresses["cell"])
-        self.raw.pack_reset(self.addresses["pack"], self.cells)
+    def adopt(self, estimator: Estimator) -> None:
+        """Go on from the records of an `Estimator` of the same cells: in `cell` if it has one, else in `pack`."""
+        if (estimator._state[:, layout.H_PARTS] > 0).any() or (estimator._state[:, layout.H_FRESH] > 0).any():
+            raise ValueError("the C kernel has one Gaussian a cell")
+        if estimator.cells == 1:
+            self.raw.cell_adopt(self.addresses["cell"], estimator._state.ctypes.data)
+        else:
+            size = estimator._form.size
+            self.raw.pack_adopt(self.addresses["pack"], estimator._state.ctypes.data, self.cells, size)
+
+    @property
+    def soc(self) -> float:
+        """Published by the last step of the cell."""
+        return float(self.cell[-4])  # the last numbers of `struct cell` are soc, sigma, low, high
 
     def step(self, dt: float, current: float, voltage: float, temperature: float) -> int:
         """Advance the cell by dt s to a sample (A, V, degC); returns the code that `kernel.entry.tick` returns."""

@@ -46,9 +46,12 @@ def medians(contenders: list[Callable[[], None]]) -> list[float]:
 def replays(hysteresis: bool, bits: int) -> list[float]:
     """ns a step of C and of ours, the loop being in the compiled code; they end alike."""
     cell = cell_of(hysteresis)
-    c = CKernel(cell, TUNING, bits)
-    samples = np.ascontiguousarray(Drive(cell, 1, faults=False).samples, c.dtype)
+    c, drive = CKernel(cell, TUNING, bits), Drive(cell, 1, faults=False)
+    samples = np.ascontiguousarray(drive.samples, c.dtype)
     estimator = Estimator(cell, tuning=TUNING, precision="f64" if bits == 64 else "f32")
+    drive.begin(estimator)
+    c.adopt(estimator)
+    start, start_c = estimator._state.copy(), c.cell.copy()
     results = np.empty((len(samples), 3), c.dtype)
     io = np.full((len(samples), layout.IO_ROWS), np.nan, c.dtype)
     io[:, layout.IN_VOLTAGE], io[:, layout.IN_TEMPERATURE] = samples[:, 2], samples[:, 3]
@@ -56,11 +59,11 @@ def replays(hysteresis: bool, bits: int) -> list[float]:
     run, (params, state, *_) = entry.replay(estimator._form, bits), estimator._addresses
 
     def in_c() -> None:
-        c.raw.cell_reset(c.addresses["cell"])
+        c.cell[:] = start_c
         c.raw.cell_replay(*c._one, len(samples), samples.ctypes.data, results.ctypes.data)
 
     def ours() -> None:
-        estimator.reset()
+        estimator._state[:] = start
         run(params, state, io.ctypes.data, len(samples), dt.ctypes.data, current.ctypes.data)
 
     taken = medians([in_c, ours])
@@ -69,25 +72,34 @@ def replays(hysteresis: bool, bits: int) -> list[float]:
 
 
 def ticks(hysteresis: bool, bits: int, cells: int) -> list[float]:
-    """us a tick of C, called by ctypes, and of ours, each a call from Python; temperature and dt stay."""
+    """us a tick of C, called by ctypes, and of ours, each a call from Python; temperature and dt stay.
+
+    One cell is a step of C's single cell: a block of C has 16.
+    """
     cell = cell_of(hysteresis)
     c, drive = CKernel(cell, TUNING, bits, cells), Drive(cell, cells, faults=False)
     estimator = Estimator(cell, cells, TUNING, "f64" if bits == 64 else "f32")
+    drive.begin(estimator)
+    c.adopt(estimator)
     tick, addresses = estimator._tick, estimator._addresses
     own, theirs = estimator._io, c.io
     own[layout.IN_TEMPERATURE] = theirs[layout.IN_TEMPERATURE] = 25.0
-    c_tick, c_all = c.raw.pack_tick, c._all
+    c_step, c_one, c_tick, c_all = c.raw.cell_step, c._one, c.raw.pack_tick, c._all
     taken: list[list[float]] = [[], []]
     for k in range(TICKS):
         own[layout.IN_VOLTAGE] = theirs[layout.IN_VOLTAGE] = drive.voltage[k]
-        current = float(drive.current[k])
+        current, voltage = float(drive.current[k]), float(drive.voltage[k, 0])
         started = time.perf_counter()
-        c_tick(*c_all, 1.0, current)
+        if cells == 1:
+            c_step(*c_one, 1.0, current, voltage, 25.0)
+        else:
+            c_tick(*c_all, 1.0, current)
         between = time.perf_counter()
         tick(*addresses, 1.0, current)
         taken[0].append(between - started)
         taken[1].append(time.perf_counter() - between)
-    assert np.abs(own[layout.OUT_SOC] - theirs[layout.OUT_SOC]).max() < (1e-9 if bits == 64 else 1e-4)
+    in_c = c.soc if cells == 1 else theirs[layout.OUT_SOC]
+    assert np.abs(own[layout.OUT_SOC] - in_c).max() < (1e-9 if bits == 64 else 1e-4)
     return [1e6 * float(np.median(times[50:])) for times in taken]
 
 
@@ -96,7 +108,7 @@ def test_the_kernel_beside_hand_written_c(capsys: pytest.CaptureFixture[str]) ->
     ratios = {}
     for hysteresis in (False, True):
         for bits in (64, 32):
-            name = f"n={3 + hysteresis}, float{bits}"
+            name = f"n={6 + hysteresis}, float{bits}"
             rows = {f"replay, one cell, {name}, ns": replays(hysteresis, bits)}
             rows |= {f"tick, {cells} cells, {name}, us": ticks(hysteresis, bits, cells) for cells in (1, 96, 400)}
             for what, (in_c, ours) in rows.items():

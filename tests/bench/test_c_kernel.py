@@ -4,31 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bench_drive import STEPS, TUNING, Drive, cell_of
+from bench_drive import STEPS, TUNING, Drive, cell_of, tick
 from c_kernel import CKernel
 
-from bms_ukf import Estimator, Fault, Sample
+from bms_ukf import Estimator, Fault
 from bms_ukf.kernel import layout
 
 pytestmark = pytest.mark.bench
 
 PACK = 37  # two blocks and a part of one
 TOLERANCE = {64: 1e-9, 32: 1e-4}
+SHOWN = [layout.OUT_SOC, layout.OUT_SOC_SIGMA, layout.OUT_SOC_LOW, layout.OUT_SOC_HIGH, layout.OUT_BIAS, layout.OUT_R0]
 VARIANTS = pytest.mark.parametrize(("hysteresis", "bits"), [(False, 64), (False, 32), (True, 64), (True, 32)])
+
+
+def begun(hysteresis: bool, bits: int, cells: int) -> tuple[Estimator, CKernel, Drive]:
+    """Both filters at the same narrow belief, and the drive that goes on from there."""
+    cell = cell_of(hysteresis)
+    drive = Drive(cell, cells)
+    estimator, in_c = Estimator(cell, cells, TUNING, f"f{bits}"), CKernel(cell, TUNING, bits, cells)
+    drive.begin(estimator)
+    in_c.adopt(estimator)
+    return estimator, in_c, drive
 
 
 @VARIANTS
 def test_a_cell_in_c_follows_the_estimator(hysteresis: bool, bits: int) -> None:
-    cell = cell_of(hysteresis)
-    samples = Drive(cell, 1).samples
-    estimator, single = Estimator(cell, tuning=TUNING, precision=f"f{bits}"), CKernel(cell, TUNING, bits)
+    estimator, single, drive = begun(hysteresis, bits, 1)
+    samples, start = drive.samples, single.cell.copy()
     expected, codes = np.empty((STEPS, 3)), np.empty((STEPS, 2), int)
-    t_ns = np.cumsum(np.round(samples[:, 0] * 1e9)).astype(int)
-    for k, (dt, *measured) in enumerate(samples.tolist()):
-        estimate = estimator.step(Sample(int(t_ns[k]), *measured))
-        expected[k] = estimate.soc, estimate.soc_sigma, estimate.nis
-        codes[k] = estimator._code, single.step(dt, *measured)
-    single.reset()
+    for k, sample in enumerate(samples.tolist()):
+        codes[k] = tick(estimator, *sample), single.step(*sample)
+        expected[k] = estimator._io[[layout.OUT_SOC, layout.OUT_SOC_SIGMA, layout.OUT_NIS], 0]
+    single.cell[:] = start
     replayed = single.replay(samples)
     assert np.array_equal(codes[:, 0], codes[:, 1])
     assert np.array_equal(np.isnan(expected[:, 2]), np.isnan(replayed[:, 2]))
@@ -38,26 +46,20 @@ def test_a_cell_in_c_follows_the_estimator(hysteresis: bool, bits: int) -> None:
 
 @VARIANTS
 def test_a_pack_in_c_follows_the_estimator(hysteresis: bool, bits: int) -> None:
-    cell = cell_of(hysteresis)
-    drive = Drive(cell, PACK)
-    estimator = Estimator(cell, PACK, TUNING, f"f{bits}")
-    pack = CKernel(cell, TUNING, bits, PACK)
-    shown = [layout.OUT_SOC, layout.OUT_SOC_SIGMA, layout.OUT_SOC_LOW, layout.OUT_SOC_HIGH, layout.OUT_R0]
-    t_ns = 0
+    estimator, pack, drive = begun(hysteresis, bits, PACK)
     for k in range(STEPS):
-        t_ns += round(drive.dt[k] * 1e9)
-        estimator.step(Sample(t_ns, drive.current[k], drive.voltage[k], drive.temperature[k]))
+        code = tick(estimator, drive.dt[k], drive.current[k], drive.voltage[k], drive.temperature[k])
         pack.io[layout.IN_VOLTAGE], pack.io[layout.IN_TEMPERATURE] = drive.voltage[k], drive.temperature[k]
-        assert pack.tick(drive.dt[k], drive.current[k]) == estimator._code
-        np.testing.assert_allclose(pack.io[shown], estimator._io[shown], rtol=0, atol=TOLERANCE[bits])
+        assert pack.tick(drive.dt[k], drive.current[k]) == code
+        np.testing.assert_allclose(pack.io[SHOWN], estimator._io[SHOWN], rtol=0, atol=TOLERANCE[bits])
         np.testing.assert_array_equal(pack.io[layout.OUT_CODE], estimator._io[layout.OUT_CODE])
 
 
 @VARIANTS
 def test_ticks_in_c_and_from_python_end_alike(hysteresis: bool, bits: int) -> None:
-    cell = cell_of(hysteresis)
-    drive = Drive(cell, PACK)
-    pack, replayed = CKernel(cell, TUNING, bits, PACK), CKernel(cell, TUNING, bits, PACK)
+    estimator, pack, drive = begun(hysteresis, bits, PACK)
+    replayed = CKernel(estimator.cell, TUNING, bits, PACK)
+    replayed.adopt(estimator)
     for dt, current, measured in zip(drive.dt, drive.current, drive.measured, strict=True):
         pack.io[: layout.IN_TEMPERATURE + 1] = measured
         pack.tick(dt, current)
@@ -67,17 +69,12 @@ def test_ticks_in_c_and_from_python_end_alike(hysteresis: bool, bits: int) -> No
 
 @VARIANTS
 def test_what_overflows_in_c_is_refused_whole(hysteresis: bool, bits: int) -> None:
-    cell = cell_of(hysteresis)
-    estimator, single = Estimator(cell, tuning=TUNING, precision=f"f{bits}"), CKernel(cell, TUNING, bits)
-    estimator.step(Sample(0, 1.0, 3.6, 25.0))
-    single.step(0.0, 1.0, 3.6, 25.0)
-    n = 3 + hysteresis
-    in_c, results = 19 + n + n + 1, -8  # sqrt_P[1, 1]; what was held comes first, and the results last
-    root = estimator._state[0, estimator._form.root + 2]
-    assert root[0] == pytest.approx(single.cell[in_c], rel=1e-5)
-    root[0] = single.cell[in_c] = 1e200 if bits == 64 else 1e30
+    estimator, single, drive = begun(hysteresis, bits, 1)
+    estimator._state[0, estimator._form.root + 2] = 1e200 if bits == 64 else 1e30  # sqrt_P[1, 1]
+    single.adopt(estimator)
+    results = -8  # they come last
     before = single.cell[:results].copy()
-    estimator.step(Sample(10**9, 1.0, 3.6, 25.0))
-    assert single.step(1.0, 1.0, 3.6, 25.0) == estimator._code
-    assert estimator._code & Fault.NUMERIC
+    code = tick(estimator, *drive.samples[0])
+    assert single.step(*drive.samples[0]) == code
+    assert code & Fault.NUMERIC
     np.testing.assert_array_equal(single.cell[:results], before)

@@ -1,4 +1,4 @@
-/* See kernel.h. The first part serves both variants; its functions are branch-free, as they run in the pack's lanes. */
+/* See kernel.h. The first part serves a cell and a pack; its functions have no branch: they run in a pack's lanes. */
 
 #include "kernel.h"
 
@@ -25,6 +25,16 @@ INLINE real least(real value, real high)
 INLINE real clamp(real value, real low, real high)
 {
     return least(value < low ? low : value, high);
+}
+
+INLINE real largest(real value, real low)
+{
+    return value > low ? value : low;
+}
+
+INLINE bool is_finite(real value)
+{
+    return value - value == 0;
 }
 
 INLINE bool within(const real *p, int low, real value)
@@ -80,6 +90,120 @@ INLINE void dynamics(const real *p, real knot, real T, real value[CHANNELS], rea
     }
 }
 
+/* -- the current -------------------------------------------------------------------------------------------------- */
+
+/* The part of a step that all cells share. */
+struct tick {
+    real dt, current, age, gap, known;
+    real per_ampere, moved; /* SoC per ampere of the known current, and SoC that this takes off */
+    real walk;              /* growth of SoC's variance */
+    real passed;            /* of the low-pass of the ohmic drop */
+    real range;             /* of the unknown current of a gap; 0: there is no gap */
+    real i;                 /* whose ohmic drop counts: with no current known, what one could be */
+    real held;              /* 1 if what is known of the current is the beginning of the step, 0 if its end */
+    real counts, leads;     /* 1 or 0: whether the ohmic drop is known, and whether it says something of r0 */
+    real lasting, late;     /* sigma of the drop: per drop of an unknown current, per r0 of an old one */
+    real again;             /* 1: another measurement of the same instant */
+    bool fresh, moves;
+    bool rested; /* a rest shows what the one before it showed */
+    real shown;  /* and what that is */
+    real hysteresis_fall, hysteresis_fade, slow_lost, r0_lost, bias_lost;
+    int fault;
+};
+
+/* Part of a distance that goes in `tau_s` time constants. */
+static real fall_of(real taus) { return -expm1(-taus); }
+
+static real lost_of(real fall, real fade) { return fall + fade - fall * fade; }
+
+/* Keep the account of how long the current has not moved, and of loads between rests. */
+static void stand_still(const real *p, struct sensor *s, struct tick *t)
+{
+    const bool still = fabs(s->current - s->still_A) <= p[P_STILL] && s->age <= p[P_CURRENT_TIMEOUT];
+    s->still_A = still ? s->still_A : s->current;
+    s->still_s = still ? s->still_s + t->dt : 0;
+    if (fabs(s->current - s->rest_A) > p[P_EXCITED])
+        s->loaded = 1;
+    const bool rests = still && s->still_s >= R(REST_S) && s->still_s - t->dt < R(REST_S)
+                       && fabs(s->still_A) <= R(PLAUSIBLE) * p[P_BIAS_SIGMA];
+    t->rested = rests && s->loaded > 0 && fabs(s->still_A - s->rest_A) <= 2 * p[P_STILL];
+    t->shown = s->still_A;
+    if (rests) {
+        s->rest_A = s->still_A;
+        s->loaded = 0;
+    }
+}
+
+static struct tick begin(const real *p, struct sensor *s, real dt, real current)
+{
+    struct tick t = {.dt = dt, .fresh = within(p, P_CURRENT_MIN, current), .moves = dt > 0};
+    t.fault = !t.fresh && !isnan(current) ? FAULT_CURRENT_IMPLAUSIBLE : 0;
+    s->current = t.current = t.fresh ? current : s->current;
+    s->age = t.age = t.fresh ? 0 : s->age + dt;
+    if (t.fresh && !t.moves)
+        s->gap_s = 0; /* a current that comes after the voltage of its moment ends a gap, too */
+    t.gap = clamp((t.fresh ? dt : t.age) - p[P_CURRENT_TIMEOUT], 0, dt);
+    t.known = dt - t.gap;
+    t.per_ampere = (t.current < 0 ? p[P_CE_CHARGE] : 1) * t.known / p[P_CHARGE_COULOMB];
+    t.moved = t.current * t.per_ampere;
+    t.range = t.gap > 0 ? p[P_CURRENT_RANGE] : 0;
+    t.held = t.fresh ? 0 : 1;
+    t.again = t.moves ? 0 : 1;
+    const bool unknown = t.age > p[P_CURRENT_TIMEOUT], stale = t.age > R(LEADS_S);
+    t.i = unknown ? p[P_CURRENT_RANGE] : t.current;
+    t.counts = unknown ? 0 : 1;
+    t.leads = unknown || stale ? 0 : 1;
+    t.lasting = unknown ? sqrt(R(LASTS_S) / R(VOLTAGE_ERROR_S)) : 0;
+    t.late = stale ? R(STALE) * p[P_EXCITED] : 0;
+    t.passed = unknown ? 0 : dt / (dt + R(RECENT_S));
+    if (t.moves) {
+        const real size = fabs(t.current), range = p[P_CURRENT_RANGE], doubted = range / p[P_CHARGE_COULOMB];
+        const real after = s->gap_s + t.gap, unknown = doubted * doubted * t.gap * (after + s->gap_s);
+        t.walk = dt * p[P_SOC_WALK_OFFSET] + unknown + p[P_SOC_WALK_GAIN] * size * t.known;
+        s->gap_s = t.fresh ? 0 : after;
+        t.hysteresis_fall = fall_of(p[P_HYSTERESIS_RATE] * size * t.known);
+        t.hysteresis_fade = fall_of(p[P_HYSTERESIS_RATE] * range * t.gap);
+        t.slow_lost = lost_of(fall_of(t.known * (p[P_SLOW_RATE] * size + 1 / p[P_SLOW_TAU])),
+                              fall_of(t.gap * (p[P_SLOW_RATE] * range + 1 / p[P_SLOW_TAU])));
+        t.r0_lost = lost_of(fall_of(t.known * (p[P_R0_RATE] * size + 1 / p[P_R0_TAU])),
+                            fall_of(t.gap * (p[P_R0_RATE] * range + 1 / p[P_R0_TAU])));
+        t.bias_lost = fall_of(dt / p[P_BIAS_TAU]);
+    }
+    stand_still(p, s, &t);
+    return t;
+}
+
+/* -- the ohmic drop ----------------------------------------------------------------------------------------------- */
+
+/* By the cell file's r0; `scaled`: the part that the error of r0 scales; `lead`: the slope over that error. */
+struct drop {
+    real drop, scaled, lead, variance;
+};
+
+/* The part of a drop beyond that of a small load. */
+INLINE real beyond(real drop, real small) { return drop - clamp(drop, -small, small); }
+
+/* `u`: current over the knee, `ohmic`: the drop of t->i. */
+INLINE struct drop drop_of(const real *p, const struct tick *t, struct held *h, real r0, real u, real ohmic, bool alive)
+{
+    const real small = R(SMALL_LOAD) * p[P_STILL] * r0;
+    const real recent = (is_finite(h->recent) & alive) ? h->recent : ohmic;
+    real lead = beyond(recent, small);
+    UNROLL for (int j = 0; j < N_RC; j++)
+        lead += is_finite(h->polarised[j]) ? h->polarised[j] : 0;
+    const bool again = (t->again > 0) & alive;
+    h->used = (again & is_finite(h->used)) ? h->used : recent;
+    h->lead = (again & is_finite(h->lead)) ? h->lead : lead;
+    h->recent = recent + (ohmic - recent) * t->passed;
+    const real fast = p[P_FAST_REL] * (ohmic - h->used), moved = t->late * r0, any = t->lasting * ohmic;
+    return (struct drop){
+        .drop = t->counts * ohmic,
+        .scaled = t->counts * beyond(ohmic, small),
+        .lead = t->leads * h->lead,
+        .variance = any * any + t->counts * (fast * fast + moved * moved / (1 + u * u)),
+    };
+}
+
 /* -- filter ------------------------------------------------------------------------------------------------------- */
 
 INLINE void add(struct belief *b, int j, real increment)
@@ -93,168 +217,159 @@ INLINE void add(struct belief *b, int j, real increment)
     }
 }
 
-/* x' = (1 - lost) x + gain, with noise of sigma q. */
+/* x' = (1 - lost) x + gain, with noise of sigma q. The bias moves SoC, too: by t->per_ampere. */
 struct motion {
     real lost[N], gain[N], q[N];
 };
 
-/* SoC that a current takes off in `known` s. */
-INLINE real charge(const real *p, real i, real known)
-{
-    return (i < 0 ? p[P_CE_CHARGE] : 1) * i * known / p[P_CHARGE_COULOMB];
-}
+INLINE real noise_root(real lost, real stationary) { return sqrt(lost * (2 - lost) * stationary) + R(TINY_ROOT); }
 
-/* `fall`: 1 - exp(-known / tau) of each voltage; `fade`: the same over the gap of the current.
- * `held`: 1 if what is known of the current is the beginning of the step, 0 if its end. */
-INLINE void move(const real *p, const real dyn[CHANNELS], real i, real moved, real dt, real gap, real before,
-                 real held, const real fall[N_V], const real fade[N_V], struct motion *m)
+/* `fall`: 1 - exp(-known / tau) of each RC pair; `fade`: the same over the gap of the current. */
+INLINE void move(const real *p, const struct tick *t, const real dyn[CHANNELS], real sigma, struct held *h,
+                 const real fall[N_RC], const real fade[N_RC], struct motion *m)
 {
-    const real doubted = p[P_CURRENT_RANGE] / p[P_CHARGE_COULOMB], range = gap > 0 ? p[P_CURRENT_RANGE] : 0;
-    const real variance = dt * (p[P_SOC_WALK_OFFSET] + p[P_SOC_WALK_GAIN] * i * i)
-                          + doubted * doubted * gap * (2 * before + gap);
+    const real held = t->held;
+    real variance = t->walk;
+    if (COMPENSATED) {
+        const real grown = variance + h->soc_walk;
+        const bool enough = grown > R(RESOLVED) * sigma * sigma;
+        variance = enough ? grown : 0;
+        h->soc_walk = enough ? 0 : grown;
+    }
     m->lost[0] = 0;
-    m->gain[0] = -moved;
+    m->gain[0] = -t->moved;
     m->q[0] = sqrt(variance) + R(TINY_ROOT);
     const real times = dyn[D_ERROR] * dyn[D_ERROR];
+    real polarised = 0, resistance = dyn[D_R0];
     UNROLL for (int j = 0; j < N_RC; j++) {
         const real r = dyn[D_RC1 + 2 * j], both = fall[j] * fade[j], lost = fall[j] + fade[j] - both;
-        const real error = p[P_RC_REL] * r * i;
-        const real shift = p[P_CURRENT_OFFSET] * (j == N_RC - 1 ? r + dyn[D_R0] : r);
-        const real unknown = r * range;
-        const real stationary = times * (p[P_VAR_V + j] + error * error) + shift * shift + unknown * unknown;
+        const real error = p[P_RC_REL] * r * t->current, unknown = r * t->range;
         m->lost[1 + j] = lost;
-        m->gain[1 + j] = r * i * (fall[j] - held * both);
-        m->q[1 + j] = sqrt(lost * (2 - lost) * stationary) + R(TINY_ROOT);
+        m->gain[1 + j] = r * t->current * (fall[j] - held * both);
+        m->q[1 + j] = noise_root(lost, times * (p[P_VAR_V + j] + error * error) + unknown * unknown);
+        h->polarised[j] += m->gain[1 + j] - lost * h->polarised[j];
+        polarised += h->polarised[j];
+        resistance += r;
     }
     if (HYSTERESIS) {
-        const real largest = dyn[CHANNELS - 1], both = fall[N_V - 1] * fade[N_V - 1];
-        const real lost = fall[N_V - 1] + fade[N_V - 1] - both;
-        const real anywhere = gap > 0 ? largest * largest / 3 : 0; /* between the branches */
-        m->lost[N - 1] = lost;
-        m->gain[N - 1] = (fall[N_V - 1] - held * both) * (i < 0 ? -largest : largest);
-        m->q[N - 1] = sqrt(lost * (2 - lost) * (times * p[P_VAR_V + N_RC] + anywhere)) + R(TINY_ROOT);
+        const real largest = dyn[CHANNELS - 1], both = t->hysteresis_fall * t->hysteresis_fade;
+        const real lost = t->hysteresis_fall + t->hysteresis_fade - both;
+        const real anywhere = t->range > 0 ? largest * largest / 3 : 0; /* between the branches */
+        m->lost[N_POL] = lost;
+        m->gain[N_POL] = (t->hysteresis_fall - held * both) * (t->current < 0 ? -largest : largest);
+        m->q[N_POL] = noise_root(lost, times * p[P_VAR_V + N_RC] + anywhere);
     }
+    const real offset = p[P_BIAS_SIGMA] * resistance, follows = p[P_SLOW_REL] * polarised;
+    m->lost[SLOW] = t->slow_lost;
+    m->q[SLOW] = noise_root(t->slow_lost, times * p[P_SLOW_VAR] + offset * offset + follows * follows);
+    m->lost[R0] = t->r0_lost;
+    m->q[R0] = noise_root(t->r0_lost, p[P_R0_VAR]);
+    m->lost[BIAS] = t->bias_lost;
+    m->q[BIAS] = noise_root(t->bias_lost, p[P_BIAS_SIGMA] * p[P_BIAS_SIGMA]);
+    m->gain[SLOW] = m->gain[R0] = m->gain[BIAS] = 0;
 }
 
-/* Householder on the lower triangle of [(1 - lost) root, q]: both start with zeros where the other has none. */
-INLINE void predict(const real *p, struct belief *b, const struct motion *m)
+/* Householder on [A root, q]: row 0 of A root is dense, as the bias moves SoC, and fills the rows below. */
+INLINE void predict(const real *p, const struct tick *t, struct belief *b, const struct motion *m)
 {
-    real (*root)[N] = b->root, noise[N][N];
-    UNROLL for (int j = 0; j < N; j++) {
+    real root[N][N], noise[N][N];
+    add(b, 0, m->gain[0] - m->lost[0] * b->x[0] + t->per_ampere * b->x[BIAS]);
+    UNROLL for (int j = 1; j < N; j++)
         add(b, j, m->gain[j] - m->lost[j] * b->x[j]);
-        UNROLL for (int k = 0; k <= j; k++)
-            root[j][k] -= m->lost[j] * root[j][k];
-        UNROLL for (int k = 0; k < N; k++)
+    UNROLL for (int j = 0; j < N; j++)
+        UNROLL for (int k = 0; k < N; k++) {
+            const real old = k <= j ? b->root[j][k] : 0;
+            root[j][k] = old - m->lost[j] * old + (j == 0 ? t->per_ampere * b->root[BIAS][k] : 0);
             noise[j][k] = k == j ? m->q[j] : 0;
-    }
+        }
     UNROLL for (int j = 0; j < N; j++) {
-        real squares = root[j][j] * root[j][j];
+        real squares = 0;
+        UNROLL for (int k = j; k < N; k++)
+            squares += root[j][k] * root[j][k];
         UNROLL for (int k = 0; k <= j; k++)
             squares += noise[j][k] * noise[j][k];
-        const real norm = sqrt(squares), both = 1 / (norm * (root[j][j] + norm));
-        const real inverse = both * (root[j][j] + norm), away = both * norm;
+        const real norm = sqrt(squares), sign = root[j][j] >= 0 ? 1 : -1, pivot = root[j][j] + sign * norm;
+        const real both = 1 / (norm * pivot), inverse = both * pivot, away = both * norm;
         UNROLL for (int i = j + 1; i < N; i++) {
-            real dot = root[j][j] * root[i][j];
+            real dot = 0;
+            UNROLL for (int k = j; k < N; k++)
+                dot += root[j][k] * root[i][k];
             UNROLL for (int k = 0; k <= j; k++)
                 dot += noise[j][k] * noise[i][k];
-            const real along = dot * inverse, d = (root[i][j] + along) * away;
+            const real along = dot * inverse, d = (root[i][j] + sign * along) * away;
             root[i][j] = along;
+            UNROLL for (int k = j + 1; k < N; k++)
+                root[i][k] -= d * root[j][k];
             UNROLL for (int k = 0; k <= j; k++)
                 noise[i][k] -= d * noise[j][k];
         }
         root[j][j] = norm;
     }
-    root[0][0] = least(root[0][0], p[P_SOC_SIGMA_MAX]);
+    UNROLL for (int j = 0; j < N; j++)
+        UNROLL for (int k = 0; k <= j; k++)
+            b->root[j][k] = root[j][k];
+    b->root[0][0] = least(b->root[0][0], p[P_SOC_SIGMA_MAX]);
 }
 
 struct innovation {
-    real predicted, variance, per_variance, alpha, b[N];
+    real predicted, variance, alpha, b[N];
+    real trust; /* share of its gain that the bias takes */
 };
 
-/* `g`: OCV at x[0] and at x[0] +- gamma root[0][0]; `r`: variance of the measurement. */
-INLINE void innovate(const real *p, const struct belief *b, const real g[3], real drop, real r, struct innovation *n)
+/* Variance of a reading, and of that what is there because readings crowd. */
+struct noise {
+    real r, crowded;
+};
+
+INLINE struct noise noise_of(const real *p, const struct held *h, real error, real drop_variance)
 {
-    const real e = p[P_W] * (g[1] + g[2] - 2 * g[0]);
-    n->predicted = g[0] + e - drop;
+    const real age = largest(h->voltage_age, R(AT_ONCE_S)), scale = h->voltage_scale;
+    const real white = error * error * p[P_VAR_VOLTAGE] + drop_variance;
+    const real fast = error * error * p[P_FAST_VAR];
+    const real lasting = white * largest(R(VOLTAGE_ERROR_S) / age, 1) + fast * largest(R(FAST_S) / age, 1);
+    const real r = lasting * (scale / (R(1 + 1 / REPEATS_MOST) - h->repeats));
+    return (struct noise){r, r - scale * (white + fast)};
+}
+
+/* `g`: OCV at x[0] and at x[0] +- gamma root[0][0]. */
+INLINE void innovate(const real *p, const struct belief *b, const struct held *h, const real g[3],
+                     const struct drop *d, real error, real r, struct innovation *n)
+{
+    const real e = p[P_W] * (g[1] + g[2] - 2 * g[0]), by_soc = p[P_W] * p[P_GAMMA] * (g[1] - g[2]);
+    real now = d->scaled, model = r;
+    UNROLL for (int j = 0; j < N_RC; j++)
+        now += h->polarised[j];
+    n->predicted = g[0] + e - d->drop - now * b->x[R0];
     n->variance = n->alpha = r + e * e * p[P_E2];
+    UNROLL for (int j = 1; j <= N_V; j++)
+        n->predicted -= b->x[j];
     UNROLL for (int k = 0; k < N; k++) {
-        real sum = k == 0 ? p[P_W] * p[P_GAMMA] * (g[1] - g[2]) : 0;
-        UNROLL for (int j = k > 1 ? k : 1; j < N; j++)
+        real sum = k == 0 ? by_soc : 0;
+        UNROLL for (int j = k > 1 ? k : 1; j <= N_V; j++)
             sum -= b->root[j][k];
-        n->predicted -= k > 0 ? b->x[k] : 0;
+        if (k <= R0)
+            sum -= d->lead * b->root[R0][k];
         n->b[k] = sum;
         n->variance += sum * sum;
     }
-    n->per_variance = 1 / n->variance;
+    UNROLL for (int j = 0; j < N_POL; j++)
+        model += error * error * p[P_VAR_V + j];
+    n->trust = by_soc * by_soc / (by_soc * by_soc + model);
 }
 
-/* Variance of a reading, after `age` s; `error`: how much more the model errs here, `scale`: and of late. */
-INLINE real noise_of(const real *p, real age, real error, real scale, real drop_sigma)
+/* A rest, as a measurement of the bias. */
+INLINE void innovate_rest(const real *p, const struct belief *b, struct innovation *n)
 {
-    const real since = clamp(age, R(TINY_ROOT), R(VOLTAGE_ERROR_S));
-    return R(VOLTAGE_ERROR_S) / since * scale * (error * error * p[P_VAR_VOLTAGE] + drop_sigma * drop_sigma);
+    n->predicted = b->x[BIAS];
+    n->variance = n->alpha = p[P_PARASITIC] * p[P_PARASITIC];
+    UNROLL for (int k = 0; k < N; k++) {
+        n->b[k] = b->root[BIAS][k];
+        n->variance += n->b[k] * n->b[k];
+    }
+    n->trust = 1;
 }
 
-/* -- adaptation --------------------------------------------------------------------------------------------------- */
-
-/* What a tracked r0 has beyond the shape of the circuit. */
-INLINE real beyond_shape(real scale)
-{
-    return scale - clamp(scale - 1, -R(R0_SHAPE), R(R0_SHAPE));
-}
-
-/* Of the noise of a reading, what is there because it came soon after the one before. */
-INLINE real crowding(real age, real r) { return r * (1 - clamp(age, 0, R(VOLTAGE_ERROR_S)) / R(VOLTAGE_ERROR_S)); }
-
-/* From an innovation that has not moved the belief yet; `r`: the noise in its variance, `ohmic`: the drop by the cell
- * file's r0, NaN if the current is not of its moment, `r0`: as tracked. */
-INLINE void follow_r0(const real *p, struct adapted *a, real innovation, real per_variance, real r, bool fused,
-                      real since, real error, real ohmic, real r0)
-{
-    const real moved = innovation - a->residual;
-    const bool goes_on = (moved - moved == 0) & (since <= R(R0_STEP_S)), counts = ohmic == ohmic;
-    const real drift = goes_on ? a->drift + moved : 0, before = goes_on ? a->ohmic : R(NAN);
-    const real total = (goes_on ? a->block_drift : 0) + (counts ? drift : 0);
-    const real total_ohmic = (goes_on ? a->block_ohmic : 0) + (counts ? ohmic : 0);
-    const real count = (goes_on ? a->block_count : 0) + (counts ? 1 : 0), lasted = goes_on ? a->block_s + since : 0;
-    const bool whole = (lasted >= R(R0_BLOCK_S)) | (goes_on & (since >= R(R0_ALONE_S)));
-    const real each = 1 / count, mean = total * each, mean_ohmic = total_ohmic * each, change = mean_ohmic - before;
-
-    const bool due = fused & whole & (a->fresh == 0);
-    const real sigma = R(R0_SIGMA), var = a->r0_var + (sigma * sigma - a->r0_var) * lasted * R(1 / R0_TAU_S);
-    const real white = 2 * a->voltage_scale * error * error * p[P_VAR_VOLTAGE], otherwise = R(R0_ELSE) * change;
-    const real gain = var * change / (var * change * change + white + otherwise * otherwise), step = gain * mean;
-    const bool told = due & (fabs(change) > r0 * p[P_EXCITED]) & (p[P_ADAPT] > 0) & (step - step == 0);
-    a->r0_var = due ? (told ? var - gain * change * var : var) : a->r0_var;
-    a->r0_scale = told ? clamp(a->r0_scale - step, R(R0_LEAST), R(R0_MOST)) : a->r0_scale;
-
-    a->residual = fused ? innovation * r * per_variance : a->residual;
-    a->drift = fused ? (whole & (mean == mean) ? drift - mean : drift) : a->drift;
-    a->ohmic = fused ? (whole ? mean_ohmic : before) : a->ohmic;
-    a->block_drift = fused ? (whole ? 0 : total) : a->block_drift;
-    a->block_ohmic = fused ? (whole ? 0 : total_ohmic) : a->block_ohmic;
-    a->block_count = fused ? (whole ? 0 : count) : a->block_count;
-    a->block_s = fused ? (whole ? 0 : lasted) : a->block_s;
-}
-
-INLINE void learn(const real *p, struct adapted *a, real innovation, real variance, real per_variance, real r,
-                  real crowded, bool fused, real since_heard, real error, real ohmic, real r0)
-{
-    const real heard_s = since_heard == since_heard ? since_heard : 0, since = clamp(heard_s, 0, R(STEP_MAX_S));
-    const real nis = innovation * innovation / (variance - crowded), scale = a->voltage_scale;
-    const bool compared = (nis - nis == 0) & (a->fresh == 0) & (p[P_ADAPT] > 0);
-    const real followed = scale + scale * (clamp(nis, 0, p[P_GATE2]) - 1) * since * R(1 / SCALE_S);
-    a->voltage_scale = compared ? clamp(followed, 1, R(SCALE_MAX)) : scale;
-    follow_r0(p, a, innovation, per_variance, r, fused, heard_s, error, ohmic, r0);
-    a->fresh = fused ? 0 : a->fresh;
-}
-
-static void start_adapted(struct adapted *a)
-{
-    *a = (struct adapted){1, 1, R(R0_SIGMA) * R(R0_SIGMA), R(NAN), 0, 0, 0, 0, 0, 0, 1};
-}
-
-/* Carlson's update, from the last column to the first. */
+/* Carlson's update, from the last column to the first; the bias takes n->trust of its gain. */
 INLINE void update(struct belief *b, const struct innovation *n, real innovation)
 {
     real gain[N] = {0}, alpha = n->alpha, per_variance = 0;
@@ -269,9 +384,52 @@ INLINE void update(struct belief *b, const struct innovation *n, real innovation
         alpha = next;
         per_variance = keep * inverse;
     }
+    const real refused = (1 - n->trust) * gain[BIAS], old = b->root[BIAS][BIAS];
+    b->root[BIAS][BIAS] = sqrt(old * old + refused * refused * per_variance);
+    gain[BIAS] *= n->trust;
     const real weight = innovation * per_variance;
     UNROLL for (int j = 0; j < N; j++)
         add(b, j, gain[j] * weight);
+}
+
+INLINE bool passes(const real *p, real innovation, real expected)
+{
+    return innovation * innovation <= p[P_GATE2] * expected;
+}
+
+/* Follow the size of the fast voltage error by an innovation that is to be fused. */
+INLINE void learn(const real *p, struct held *h, real innovation, real expected, real since_heard, bool fused)
+{
+    const real since = clamp(since_heard == since_heard ? since_heard : 0, 0, R(STEP_MAX_S));
+    const real nis = innovation * innovation / expected, scale = h->voltage_scale;
+    const real followed = scale + scale * (clamp(nis, 0, p[P_GATE2]) - 1) * since * R(1 / SCALE_S);
+    const bool follows = fused & is_finite(nis) & (p[P_ADAPT] > 0);
+    h->voltage_scale = follows ? clamp(followed, 1, R(SCALE_MAX)) : scale;
+}
+
+/* -- around the filter -------------------------------------------------------------------------------------------- */
+
+/* Age what is held and take what is plausible; `*voltage` becomes NaN if it is not. Returns faults. */
+INLINE whole take(const real *p, const struct tick *t, struct held *h, real *voltage, real temperature,
+                  real *since_heard)
+{
+    const real z = *voltage;
+    const bool heard = within(p, P_VOLTAGE_MIN, z), felt = within(p, P_TEMPERATURE_MIN, temperature);
+    const real heard_age = h->heard_age + t->dt, since = heard_age == heard_age ? heard_age : 0;
+    const real repeats = h->repeats == h->repeats ? h->repeats : 0, same = z == h->last_V ? 1 : 0;
+    const real filtered = repeats + (same - repeats) * (since / (since + R(REPEATS_S)));
+    h->temperature = felt ? temperature : h->temperature;
+    h->temperature_age = felt ? 0 : h->temperature_age + t->dt;
+    /* Refusals with a silence between them are not an unbroken row. */
+    h->rejected_s = (heard & (heard_age > p[P_VOLTAGE_TIMEOUT])) ? R(NAN) : h->rejected_s + t->dt;
+    h->heard_age = heard ? 0 : heard_age;
+    h->voltage_age += t->dt;
+    h->repeats = heard ? filtered : repeats;
+    h->last_V = heard ? z : h->last_V;
+    *since_heard = heard_age;
+    *voltage = heard ? z : R(NAN);
+    return t->fault | ((!felt & (temperature == temperature)) ? FAULT_TEMPERATURE_IMPLAUSIBLE : 0)
+           | ((!heard & (z == z)) ? FAULT_VOLTAGE_IMPLAUSIBLE : 0);
 }
 
 INLINE bool sound(const struct belief *b, real voltage_age)
@@ -282,7 +440,7 @@ INLINE bool sound(const struct belief *b, real voltage_age)
         UNROLL for (int k = 0; k <= j; k++)
             total += fabs(b->root[j][k]);
     }
-    return total - total == 0;
+    return is_finite(total);
 }
 
 INLINE real horner(const double *c, int count, real x)
@@ -347,7 +505,7 @@ INLINE whole bound(const real *p, real *soc, real *sigma, real T, whole faults, 
 {
     const bool inside = within(p, P_TABLE_TEMPERATURE_MIN, T) & (*soc >= -R(SOC_SLACK)) & (*soc <= 1 + R(SOC_SLACK));
     *soc = clamp(*soc, -R(SOC_BEYOND), 1 + R(SOC_BEYOND));
-    *sigma = *sigma < p[P_SOC_SIGMA_MIN] ? p[P_SOC_SIGMA_MIN] : *sigma;
+    *sigma = clamp(*sigma, p[P_SOC_SIGMA_MIN], p[P_SOC_SIGMA_MAX]);
     return (alive & !inside & (faults != FAULT_NUMERIC)) ? FAULT_OUT_OF_TABLE : 0;
 }
 
@@ -361,165 +519,139 @@ INLINE whole judge(const real *p, real low, real high, whole faults, bool alive)
     return faults | (alive ? status : STATUS_INITIALISING) << STATUS_SHIFT;
 }
 
-INLINE whole missing(const real *p, real current_age, real gap, real voltage_age, real temperature_age)
+INLINE whole missing(const real *p, const struct tick *t, const struct held *h)
 {
-    const bool current = (current_age <= p[P_CURRENT_TIMEOUT]) & (gap <= 0);
-    return (current ? 0 : FAULT_CURRENT_MISSING) | (voltage_age <= p[P_VOLTAGE_TIMEOUT] ? 0 : FAULT_VOLTAGE_MISSING)
-           | (temperature_age <= p[P_TEMPERATURE_TIMEOUT] ? 0 : FAULT_TEMPERATURE_MISSING);
+    const bool current = (t->age <= p[P_CURRENT_TIMEOUT]) & (t->gap <= 0);
+    return (current ? 0 : FAULT_CURRENT_MISSING)
+           | (h->voltage_age <= p[P_VOLTAGE_TIMEOUT] ? 0 : FAULT_VOLTAGE_MISSING)
+           | (h->temperature_age <= p[P_TEMPERATURE_TIMEOUT] ? 0 : FAULT_TEMPERATURE_MISSING);
 }
 
-/* The first belief: the load may have begun just now or long ago. */
-static void start(const real *p, struct belief *b, const real dyn[CHANNELS], real T, real i)
+/* Of an Estimator's record, whose slots are `stride` apart: the current's part, a cell's and its belief. */
+static struct sensor sensor_of(const real *record, size_t stride)
 {
-    const real half = knots(p, R(0.5)), knot = knot_below(p, half), times = dyn[D_ERROR] * dyn[D_ERROR];
-    real value[CHANNELS], rise[CHANNELS];
-    dynamics(p, knot, T, value, rise);
-    const real before = sqrt(p[P_INITIAL_CURRENT] * p[P_INITIAL_CURRENT] + i * i / 4);
-    memset(b, 0, sizeof *b);
-    b->x[0] = p[P_INITIAL_SOC];
-    b->root[0][0] = p[P_INITIAL_SIGMA];
-    for (int j = 0; j < N_RC; j++) {
-        const real r = value[D_RC1 + 2 * j] + (half - knot) * rise[D_RC1 + 2 * j], drop = r * before;
-        b->x[1 + j] = r * i / 2;
-        b->root[1 + j][1 + j] = sqrt(times * p[P_VAR_V + j] + drop * drop);
+    return (struct sensor){
+        .current = record[stride * H_CURRENT],
+        .age = record[stride * H_CURRENT_AGE],
+        .gap_s = record[stride * H_GAP_S],
+        .still_A = record[stride * H_STILL_A],
+        .still_s = record[stride * H_STILL_S],
+        .rest_A = record[stride * H_REST_A],
+        .loaded = record[stride * H_LOADED],
+    };
+}
+
+static struct held held_of(const real *record, size_t stride)
+{
+    struct held h;
+#define SLOT(name, slot) h.name = record[stride * (slot)];
+    HELD_SLOTS(SLOT)
+#undef SLOT
+    for (size_t j = 0; j < N_RC; j++)
+        h.polarised[j] = record[stride * (H_POLARISED + j)];
+    return h;
+}
+
+static struct belief belief_of(const real *record, size_t stride)
+{
+    struct belief b = {0};
+    const real *root = record + stride * (HELD + N), *carry = root + stride * ROOTS;
+    for (size_t j = 0; j < N; j++) {
+        b.x[j] = record[stride * (HELD + j)];
+        b.carry[j] = COMPENSATED ? carry[stride * j] : 0;
+        for (size_t k = 0; k <= j; k++)
+            b.root[j][k] = root[stride * (j * (j + 1) / 2 + k)];
     }
-    if (HYSTERESIS)
-        b->root[N - 1][N - 1] = sqrt(times * p[P_VAR_V + N_RC] + dyn[CHANNELS - 1] * dyn[CHANNELS - 1] / 3);
+    return b;
 }
 
 /* -- one cell ----------------------------------------------------------------------------------------------------- */
 
-/* Age what is held and take what is plausible; `*voltage` becomes NaN if it is not. Returns faults. */
-static int take(const real *p, struct cell *c, real dt, real current, real *voltage, real temperature, real *since_heard)
+static void advance(const real *p, const struct tick *t, struct cell *c, const real dyn[CHANNELS])
 {
-    int faults = 0;
-    c->current_age += dt;
-    c->temperature_age += dt;
-    c->voltage_age += dt;
-    c->heard_age += dt;
-    c->rejected_s += dt;
-    *since_heard = c->heard_age;
-    if (within(p, P_CURRENT_MIN, current)) {
-        c->current = current;
-        c->current_age = 0;
-    } else if (!isnan(current)) {
-        faults |= FAULT_CURRENT_IMPLAUSIBLE;
-    }
-    if (within(p, P_TEMPERATURE_MIN, temperature)) {
-        c->temperature = temperature;
-        c->temperature_age = 0;
-    } else if (!isnan(temperature)) {
-        faults |= FAULT_TEMPERATURE_IMPLAUSIBLE;
-    }
-    if (within(p, P_VOLTAGE_MIN, *voltage)) {
-        if (c->heard_age > p[P_VOLTAGE_TIMEOUT])
-            c->rejected_s = R(NAN); /* refusals with a silence between them are not an unbroken row */
-        c->heard_age = 0;
-    } else if (!isnan(*voltage)) {
-        faults |= FAULT_VOLTAGE_IMPLAUSIBLE;
-        *voltage = R(NAN);
-    }
-    return faults;
-}
-
-static void advance(const real *p, struct cell *c, const real dyn[CHANNELS], real moved, real dt, real gap)
-{
-    const real known = dt - gap;
-    real fall[N_V], fade[N_V] = {0};
+    real fall[N_RC], fade[N_RC] = {0};
     struct motion m;
     for (int j = 0; j < N_RC; j++) {
-        fall[j] = -expm1(-known / dyn[D_RC1 + 2 * j + 1]);
-        if (gap > 0)
-            fade[j] = -expm1(-gap / dyn[D_RC1 + 2 * j + 1]);
+        fall[j] = fall_of(t->known / dyn[D_RC1 + 2 * j + 1]);
+        if (t->gap > 0)
+            fade[j] = fall_of(t->gap / dyn[D_RC1 + 2 * j + 1]);
     }
-    if (HYSTERESIS)
-        fall[N_V - 1] = -expm1(-p[P_HYSTERESIS_RATE] * fabs(c->current) * known);
-    if (HYSTERESIS && gap > 0)
-        fade[N_V - 1] = -expm1(-p[P_HYSTERESIS_RATE] * p[P_CURRENT_RANGE] * gap);
-    const real held = c->current_age > 0 ? 1 : 0;
-    move(p, dyn, c->current, moved, dt, gap, c->gap_s, held, fall, fade, &m);
-    c->gap_s = held * (c->gap_s + gap);
-    predict(p, &c->belief, &m);
+    move(p, t, dyn, c->belief.root[0][0], &c->held, fall, fade, &m);
+    predict(p, t, &c->belief, &m);
 }
 
 /* Compare the voltage and fuse it, if the gate lets it. Returns faults. */
-static int fuse(const real *p, struct cell *c, real voltage, real T, real error, real r0, real ohmic, real drop,
-                real drop_sigma, real since_heard)
+static int fuse(const real *p, struct cell *c, real voltage, real T, real error, const struct drop *d, real since_heard)
 {
     struct belief *b = &c->belief;
+    struct held *h = &c->held;
     struct innovation n;
     const struct row row = row_of(p, P_OCV, T);
     const real spread = p[P_GAMMA] * b->root[0][0];
     const real g[3] = {ocv(p, row, b->x[0]), ocv(p, row, b->x[0] + spread), ocv(p, row, b->x[0] - spread)};
-    const real r = noise_of(p, c->voltage_age, error, c->adapted.voltage_scale, drop_sigma);
-    innovate(p, b, g, drop, r, &n);
-    c->voltage_pred = n.predicted;
-    c->innovation = voltage - n.predicted;
-    c->innovation_var = n.variance;
-    c->nis = c->innovation * c->innovation * n.per_variance;
-    if (!isfinite(c->innovation + n.variance))
+    const struct noise noise = noise_of(p, h, error, d->variance);
+    innovate(p, b, h, g, d, error, noise.r, &n);
+    const real innovation = voltage - n.predicted, expected = n.variance - noise.crowded;
+    if (!isfinite(innovation + n.variance))
         return FAULT_NUMERIC;
-    const bool accepted = c->innovation * c->innovation <= p[P_GATE2] * n.variance;
-    learn(p, &c->adapted, c->innovation, n.variance, n.per_variance, r, crowding(c->voltage_age, r), accepted,
-          since_heard, error, ohmic, r0);
-    if (!accepted) {
-        if (isnan(c->rejected_s))
-            c->rejected_s = 0;
+    c->voltage_pred = n.predicted;
+    c->innovation = innovation;
+    c->innovation_var = expected;
+    c->nis = innovation * innovation / expected;
+    if (!passes(p, innovation, expected)) {
+        if (isnan(h->rejected_s))
+            h->rejected_s = 0;
         return FAULT_INNOVATION_REJECTED;
     }
-    update(b, &n, c->innovation);
-    c->rejected_s = R(NAN);
-    c->voltage_age = 0;
+    learn(p, h, innovation, expected, since_heard, true);
+    update(b, &n, innovation);
+    h->rejected_s = R(NAN);
+    h->voltage_age = 0;
     return 0;
+}
+
+static void fuse_rest(const real *p, const struct tick *t, struct belief *b)
+{
+    struct innovation n;
+    innovate_rest(p, b, &n);
+    if (isfinite(t->shown - n.predicted + n.variance))
+        update(b, &n, t->shown - n.predicted);
 }
 
 int cell_step(const real *p, struct cell *cell, double dt_s, double current_A, double voltage_V,
               double temperature_degC)
 {
     struct cell c = *cell; /* taken back if it does not stay finite */
-    const real dt = (real)dt_s;
-    real voltage = (real)voltage_V;
-    bool alive = sound(&c.belief, c.voltage_age);
-    real since_heard;
-    int faults = take(p, &c, dt, (real)current_A, &voltage, (real)temperature_degC, &since_heard);
-    const real gap = clamp((c.current_age <= 0 ? dt : c.current_age) - p[P_CURRENT_TIMEOUT], 0, dt);
-    const real moved = charge(p, c.current, dt - gap);
+    real voltage = (real)voltage_V, since_heard;
+    const bool alive = sound(&c.belief, c.held.voltage_age);
+    const struct tick t = begin(p, &c.sensor, (real)dt_s, (real)current_A);
+    int faults = (int)take(p, &t, &c.held, &voltage, (real)temperature_degC, &since_heard);
 
-    const real place = knots(p, alive ? c.belief.x[0] - moved : p[P_INITIAL_SOC]), knot = knot_below(p, place);
-    const real T = isnan(c.temperature) ? R(UNKNOWN_TEMPERATURE) : c.temperature;
+    const real soc = alive ? c.belief.x[0] - t.moved + t.per_ampere * c.belief.x[BIAS] : p[P_INITIAL_SOC];
+    const real place = knots(p, is_finite(soc) ? soc : p[P_INITIAL_SOC]), knot = knot_below(p, place);
+    const real T = isnan(c.held.temperature) ? R(UNKNOWN_TEMPERATURE) : c.held.temperature;
     real dyn[CHANNELS], rise[CHANNELS];
     dynamics(p, knot, T, dyn, rise);
     for (int k = 0; k < CHANNELS; k++)
         dyn[k] += (place - knot) * rise[k];
-
-    const bool unknown = c.current_age > p[P_CURRENT_TIMEOUT];
-    const real i = unknown ? p[P_CURRENT_RANGE] : c.current;
-    const real r0 = dyn[i < 0 ? D_R0_CHARGE : D_R0], ohmic = r0 * dyn[D_KNEE] * asinh(i / dyn[D_KNEE]);
-    const real scale = isnan(c.adapted.r0_scale) ? 1 : beyond_shape(c.adapted.r0_scale), drop = scale * ohmic;
-    const real drop_sigma = unknown ? drop : p[P_R0_REL] * dyn[D_ERROR] * drop;
-    const bool own = !unknown && c.current_age <= R(R0_CURRENT_S);
+    const real r0 = dyn[t.i < 0 ? D_R0_CHARGE : D_R0], u = t.i / dyn[D_KNEE];
+    const struct drop d = drop_of(p, &t, &c.held, r0, u, r0 * dyn[D_KNEE] * asinh(u), alive);
 
     c.voltage_pred = c.innovation = c.innovation_var = c.nis = R(NAN);
-    if (alive && dt > 0)
-        advance(p, &c, dyn, moved, dt, gap);
-    if (!alive && isfinite(voltage + c.current + c.temperature)) {
-        start(p, &c.belief, dyn, T, c.current);
-        start_adapted(&c.adapted);
-        c.gap_s = 0;
-        c.voltage_age = R(VOLTAGE_ERROR_S);
-        alive = true;
-    }
+    if (alive && t.moves)
+        advance(p, &t, &c, dyn);
+    if (alive && t.rested)
+        fuse_rest(p, &t, &c.belief);
     if (alive && !isnan(voltage))
-        faults |= fuse(p, &c, voltage, T, dyn[D_ERROR], scale * r0, own ? ohmic : R(NAN), unknown ? 0 : drop, drop_sigma,
-                       since_heard);
-    faults |= missing(p, c.current_age, gap, c.voltage_age, c.temperature_age);
+        faults |= fuse(p, &c, voltage, T, dyn[D_ERROR], &d, since_heard);
+    faults |= (int)missing(p, &t, &c.held);
 
-    if ((faults & FAULT_NUMERIC) || (alive && !sound(&c.belief, c.voltage_age))) {
+    if ((faults & FAULT_NUMERIC) || (alive && !sound(&c.belief, c.held.voltage_age))) {
         faults = FAULT_NUMERIC;
         c = *cell;
         c.voltage_pred = c.innovation = c.innovation_var = c.nis = R(NAN);
     }
-    faults |= (int)bound(p, &c.belief.x[0], &c.belief.root[0][0], c.temperature, faults, alive);
+    faults |= (int)bound(p, &c.belief.x[0], &c.belief.root[0][0], c.held.temperature, faults, alive);
     const struct shown of = truncated(c.belief.x[0], c.belief.root[0][0]);
     const whole code = judge(p, of.low, of.high, faults, alive);
     c.soc = of.soc;
@@ -542,11 +674,11 @@ int cell_replay(const real *p, struct cell *cell, long n, const real *samples, r
     return code;
 }
 
-void cell_reset(struct cell *cell)
+void cell_adopt(struct cell *cell, const real *record)
 {
-    real *numbers = (real *)cell;
-    for (size_t k = 0; k < sizeof *cell / sizeof(real); k++)
-        numbers[k] = R(NAN);
+    cell->sensor = sensor_of(record, 1);
+    cell->held = held_of(record, 1);
+    cell->belief = belief_of(record, 1);
 }
 
 size_t cell_size(void)
@@ -631,69 +763,74 @@ INLINE void store(struct lanes *w, int c, const struct belief *b)
     }
 }
 
-INLINE struct adapted load_adapted(const struct lanes *w, int c)
+/* The belief where `choice` is true, else what stands in the lane. */
+INLINE void store_if(bool choice, struct lanes *w, int c, const struct belief *b)
 {
-    return (struct adapted){w->voltage_scale[c], w->r0_scale[c],    w->r0_var[c],      w->residual[c],
-                            w->drift[c],         w->ohmic[c],       w->block_drift[c], w->block_ohmic[c],
-                            w->block_count[c],   w->block_s[c],     w->fresh[c]};
+    const struct belief before = load(w, c);
+    struct belief after;
+    UNROLL for (int j = 0; j < N; j++) {
+        after.x[j] = choice ? b->x[j] : before.x[j];
+        after.carry[j] = choice ? b->carry[j] : before.carry[j];
+        UNROLL for (int k = 0; k <= j; k++)
+            after.root[j][k] = choice ? b->root[j][k] : before.root[j][k];
+    }
+    store(w, c, &after);
 }
 
-INLINE void store_adapted(struct lanes *w, int c, const struct adapted *a)
+INLINE struct held load_held(const struct lanes *w, int c)
 {
-    w->voltage_scale[c] = a->voltage_scale;
-    w->r0_scale[c] = a->r0_scale;
-    w->r0_var[c] = a->r0_var;
-    w->residual[c] = a->residual;
-    w->drift[c] = a->drift;
-    w->ohmic[c] = a->ohmic;
-    w->block_drift[c] = a->block_drift;
-    w->block_ohmic[c] = a->block_ohmic;
-    w->block_count[c] = a->block_count;
-    w->block_s[c] = a->block_s;
-    w->fresh[c] = a->fresh;
+    struct held h;
+#define SLOT(name, slot) h.name = w->name[c];
+    HELD_SLOTS(SLOT)
+#undef SLOT
+    UNROLL for (int j = 0; j < N_RC; j++)
+        h.polarised[j] = w->polarised[j][c];
+    return h;
 }
 
-/* What a tick knows of the current, and works out on the way for each lane. */
+INLINE void store_held(struct lanes *w, int c, const struct held *h)
+{
+#define SLOT(name, slot) w->name[c] = h->name;
+    HELD_SLOTS(SLOT)
+#undef SLOT
+    UNROLL for (int j = 0; j < N_RC; j++)
+        w->polarised[j][c] = h->polarised[j];
+}
+
+/* Values of a step that are not kept. */
 struct work {
-    real dt, current, current_age, gap, known, moved;
-    bool fresh;
-    whole fault;
-    _Alignas(64) whole alive[LANES], code[LANES], fused[LANES];
+    _Alignas(64) whole alive[LANES], code[LANES];
     real voltage[LANES], T[LANES], soc[LANES];
-    real dyn[CHANNELS][LANES], fall[N_V][LANES], fade[N_V][LANES];
-    real r0[LANES], ohmic[LANES], drop[LANES], drop_sigma[LANES], since_heard[LANES], g[3][LANES];
-    real predicted[LANES], innovation[LANES], variance[LANES], per_variance[LANES], r[LANES], crowded[LANES];
+    real dyn[CHANNELS][LANES], fall[N_RC][LANES], fade[N_RC][LANES];
+    real r0[LANES], u[LANES], asinh_u[LANES];
+    real drop[LANES], scaled[LANES], lead[LANES], drop_variance[LANES], since_heard[LANES], g[3][LANES];
+    real predicted[LANES], innovation[LANES], expected[LANES];
     real sigma[LANES], low[LANES], high[LANES]; /* published, with `soc` */
 };
 
-static void take_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y,
-                       const real *restrict temperature)
+static void take_lanes(const real *restrict p, const struct tick *restrict t, struct lanes *restrict w,
+                       struct work *restrict y, const real *restrict temperature)
 {
-    const real dt = y->dt;
     EACH_LANE {
-        const real z = y->voltage[c], T = temperature[c];
-        const bool heard = within(p, P_VOLTAGE_MIN, z), felt = within(p, P_TEMPERATURE_MIN, T);
-        const real heard_age = w->heard_age[c] + dt;
-        w->temperature[c] = felt ? T : w->temperature[c];
-        w->temperature_age[c] = felt ? 0 : w->temperature_age[c] + dt;
-        w->rejected_s[c] = (heard & (heard_age > p[P_VOLTAGE_TIMEOUT])) ? R(NAN) : w->rejected_s[c] + dt;
-        w->heard_age[c] = heard ? 0 : heard_age;
-        y->since_heard[c] = heard_age;
-        w->voltage_age[c] += dt;
-        y->voltage[c] = heard ? z : R(NAN);
-        y->code[c] = y->fault | ((!felt & (T == T)) ? FAULT_TEMPERATURE_IMPLAUSIBLE : 0)
-                     | ((!heard & (z == z)) ? FAULT_VOLTAGE_IMPLAUSIBLE : 0);
+        struct held h = load_held(w, c);
+        real voltage = y->voltage[c], since_heard;
+        y->code[c] = take(p, t, &h, &voltage, temperature[c], &since_heard);
+        y->voltage[c] = voltage;
+        y->since_heard[c] = since_heard;
+        store_held(w, c, &h);
     }
 }
 
 /* Read the dynamics at the mean SoC to come, through each lane's cached row. */
-static void schedule(const real *restrict p, struct block *restrict s, const struct lanes *restrict w,
-                     struct work *restrict y)
+static void schedule(const real *restrict p, const struct tick *restrict t, struct block *restrict s,
+                     const struct lanes *restrict w, struct work *restrict y)
 {
-    const real moved = y->moved, initial = p[P_INITIAL_SOC], T_limit = p[P_CACHE_TEMPERATURE];
+    const real moved = t->moved, per_ampere = t->per_ampere, initial = p[P_INITIAL_SOC];
+    const real T_limit = p[P_CACHE_TEMPERATURE];
     whole stale = 0;
     EACH_LANE {
-        const real place = knots(p, y->alive[c] ? w->x[0][c] - moved : initial);
+        const real soc = w->x[0][c] - moved + per_ampere * w->x[BIAS][c];
+        const real place = knots(p, ((y->alive[c] != 0) & is_finite(soc)) ? soc : initial);
         const real T = w->temperature[c] == w->temperature[c] ? w->temperature[c] : R(UNKNOWN_TEMPERATURE);
         const real d = place - s->knot[c];
         y->soc[c] = place;
@@ -716,23 +853,24 @@ static void schedule(const real *restrict p, struct block *restrict s, const str
         EACH_LANE y->dyn[k][c] = s->value[k][c] + (y->soc[c] - s->knot[c]) * s->rise[k][c];
 }
 
-static void ohmic(const real *restrict p, const struct lanes *restrict w, struct work *restrict y)
+static void drop_lanes(const real *restrict p, const struct tick *restrict t, struct lanes *restrict w,
+                       struct work *restrict y)
 {
-    const bool unknown = y->current_age > p[P_CURRENT_TIMEOUT];
-    const real i = unknown ? p[P_CURRENT_RANGE] : y->current;
-    const real share = unknown ? 0 : 1, doubt = unknown ? 1 : p[P_R0_REL], uneven = unknown ? 0 : 1;
-    const real own = !unknown & (y->current_age <= R(R0_CURRENT_S)) ? 0 : R(NAN);
-    const real *r0 = y->dyn[i < 0 ? D_R0_CHARGE : D_R0], *knee = y->dyn[D_KNEE];
-    real u[LANES];
-    EACH_LANE u[c] = i / knee[c];
-    asinh_lanes(u);
+    const real i = t->i, *r0 = y->dyn[i < 0 ? D_R0_CHARGE : D_R0], *knee = y->dyn[D_KNEE];
     EACH_LANE {
-        const real tracked = w->r0_scale[c], scale = tracked == tracked ? beyond_shape(tracked) : 1;
-        const real ohmic = r0[c] * knee[c] * u[c], drop = scale * ohmic;
-        y->r0[c] = scale * r0[c];
-        y->ohmic[c] = ohmic + own;
-        y->drop[c] = share * drop;
-        y->drop_sigma[c] = doubt * (uneven * y->dyn[D_ERROR][c] + 1 - uneven) * drop;
+        y->r0[c] = r0[c];
+        y->u[c] = y->asinh_u[c] = i / knee[c];
+    }
+    asinh_lanes(y->asinh_u);
+    EACH_LANE {
+        struct held h = load_held(w, c);
+        const real ohmic = y->r0[c] * y->dyn[D_KNEE][c] * y->asinh_u[c];
+        const struct drop d = drop_of(p, t, &h, y->r0[c], y->u[c], ohmic, y->alive[c] != 0);
+        y->drop[c] = d.drop;
+        y->scaled[c] = d.scaled;
+        y->lead[c] = d.lead;
+        y->drop_variance[c] = d.variance;
+        store_held(w, c, &h);
     }
 }
 
@@ -749,60 +887,50 @@ static void decay(real (*restrict x)[LANES], int count)
             EACH_LANE x[j][c] = fall_small(x[j][c]);
 }
 
-static void relax(const real *restrict p, struct work *restrict y)
+static void relax(const struct tick *restrict t, struct work *restrict y)
 {
     for (int j = 0; j < N_RC; j++)
-        EACH_LANE y->fall[j][c] = y->known / y->dyn[D_RC1 + 2 * j + 1][c];
-    if (HYSTERESIS)
-        EACH_LANE y->fall[N_V - 1][c] = p[P_HYSTERESIS_RATE] * fabs(y->current) * y->known;
-    decay(y->fall, N_V);
+        EACH_LANE y->fall[j][c] = t->known / y->dyn[D_RC1 + 2 * j + 1][c];
+    decay(y->fall, N_RC);
     memset(y->fade, 0, sizeof y->fade);
-    if (y->gap > 0) {
+    if (t->gap > 0) {
         for (int j = 0; j < N_RC; j++)
-            EACH_LANE y->fade[j][c] = y->gap / y->dyn[D_RC1 + 2 * j + 1][c];
-        if (HYSTERESIS)
-            EACH_LANE y->fade[N_V - 1][c] = p[P_HYSTERESIS_RATE] * p[P_CURRENT_RANGE] * y->gap;
-        decay(y->fade, N_V);
+            EACH_LANE y->fade[j][c] = t->gap / y->dyn[D_RC1 + 2 * j + 1][c];
+        decay(y->fade, N_RC);
     }
 }
 
-static void advance_lanes(const real *restrict p, struct lanes *restrict w, const struct work *restrict y)
+static void advance_lanes(const real *restrict p, const struct tick *restrict t, struct lanes *restrict w,
+                          const struct work *restrict y)
 {
-    const real i = y->current, moved = y->moved, dt = y->dt, gap = y->gap, held = y->fresh ? 0 : 1;
     EACH_LANE {
         struct belief b = load(w, c);
+        struct held h = load_held(w, c);
         struct motion m;
-        real dyn[CHANNELS], fall[N_V], fade[N_V];
+        real dyn[CHANNELS], fall[N_RC], fade[N_RC];
         UNROLL for (int k = 0; k < CHANNELS; k++)
             dyn[k] = y->dyn[k][c];
-        UNROLL for (int j = 0; j < N_V; j++) {
+        UNROLL for (int j = 0; j < N_RC; j++) {
             fall[j] = y->fall[j][c];
             fade[j] = y->fade[j][c];
         }
-        move(p, dyn, i, moved, dt, gap, w->gap_s[c], held, fall, fade, &m);
-        w->gap_s[c] = held * (w->gap_s[c] + gap);
-        predict(p, &b, &m);
+        move(p, t, dyn, b.root[0][0], &h, fall, fade, &m);
+        predict(p, t, &b, &m);
         store(w, c, &b);
+        store_held(w, c, &h);
     }
 }
 
-static void start_lanes(const real *p, struct lanes *w, struct work *y, int count)
+static void fuse_rest_lanes(const real *restrict p, const struct tick *restrict t, struct lanes *restrict w,
+                            const struct work *restrict y)
 {
-    for (int c = 0; c < count; c++) {
-        if (y->alive[c] || !isfinite(y->voltage[c] + y->current + w->temperature[c]))
-            continue;
-        real dyn[CHANNELS];
-        for (int k = 0; k < CHANNELS; k++)
-            dyn[k] = y->dyn[k][c];
-        struct belief b;
-        struct adapted a;
-        start(p, &b, dyn, y->T[c], y->current);
-        start_adapted(&a);
-        store(w, c, &b);
-        store_adapted(w, c, &a);
-        w->gap_s[c] = 0;
-        w->voltage_age[c] = R(VOLTAGE_ERROR_S);
-        y->alive[c] = 1;
+    EACH_LANE {
+        struct belief b = load(w, c);
+        struct innovation n;
+        innovate_rest(p, &b, &n);
+        const real innovation = t->shown - n.predicted;
+        update(&b, &n, innovation);
+        store_if((y->alive[c] != 0) & is_finite(innovation + n.variance), w, c, &b);
     }
 }
 
@@ -813,7 +941,7 @@ static void look_up(const real *restrict p, const struct lanes *restrict w, stru
         const real gamma = away[point];
         EACH_LANE {
             const real soc = w->x[0][c] + gamma * w->root[0][c];
-            y->g[point][c] = ocv(p, row_of(p, P_OCV, y->T[c]), soc - soc == 0 ? soc : R(0.5)); /* NaN is no index */
+            y->g[point][c] = ocv(p, row_of(p, P_OCV, y->T[c]), is_finite(soc) ? soc : R(0.5)); /* NaN is no index */
         }
     }
 }
@@ -821,58 +949,39 @@ static void look_up(const real *restrict p, const struct lanes *restrict w, stru
 static void fuse_lanes(const real *restrict p, struct lanes *restrict w, struct work *restrict y)
 {
     EACH_LANE {
-        const struct belief before = load(w, c);
         struct belief b = load(w, c);
+        struct held h = load_held(w, c);
         struct innovation n;
-        const real age = w->voltage_age[c];
-        const real r = noise_of(p, age, y->dyn[D_ERROR][c], w->voltage_scale[c], y->drop_sigma[c]);
-        const real g[3] = {y->g[0][c], y->g[1][c], y->g[2][c]}, rejected_s = w->rejected_s[c];
-        innovate(p, &b, g, y->drop[c], r, &n);
-        const real innovation = y->voltage[c] - n.predicted;
-        const real total = innovation + n.variance;
+        const struct drop d = {y->drop[c], y->scaled[c], y->lead[c], y->drop_variance[c]};
+        const real g[3] = {y->g[0][c], y->g[1][c], y->g[2][c]}, error = y->dyn[D_ERROR][c];
+        const struct noise noise = noise_of(p, &h, error, d.variance);
+        innovate(p, &b, &h, g, &d, error, noise.r, &n);
+        const real innovation = y->voltage[c] - n.predicted, expected = n.variance - noise.crowded;
         const bool heard = (y->voltage[c] == y->voltage[c]) & (y->alive[c] != 0);
-        const bool compared = heard & (total - total == 0);
-        const bool accepted = innovation * innovation <= p[P_GATE2] * n.variance;
+        const bool compared = heard & is_finite(innovation + n.variance), accepted = passes(p, innovation, expected);
         const bool fused = compared & accepted, refused = compared & !accepted;
+        learn(p, &h, innovation, expected, y->since_heard[c], fused);
         update(&b, &n, innovation);
-        UNROLL for (int j = 0; j < N; j++) {
-            b.x[j] = fused ? b.x[j] : before.x[j];
-            b.carry[j] = fused ? b.carry[j] : before.carry[j];
-            UNROLL for (int k = 0; k <= j; k++)
-                b.root[j][k] = fused ? b.root[j][k] : before.root[j][k];
-        }
-        store(w, c, &b);
-        w->rejected_s[c] = fused ? R(NAN) : (refused & (rejected_s != rejected_s)) ? 0 : rejected_s;
-        w->voltage_age[c] = fused ? 0 : w->voltage_age[c];
+        store_if(fused, w, c, &b);
+        h.rejected_s = fused ? R(NAN) : (refused & (h.rejected_s != h.rejected_s)) ? 0 : h.rejected_s;
+        h.voltage_age = fused ? 0 : h.voltage_age;
+        store_held(w, c, &h);
         y->code[c] |= (refused ? FAULT_INNOVATION_REJECTED : 0) | ((heard & !compared) ? FAULT_NUMERIC : 0);
         y->predicted[c] = compared ? n.predicted : R(NAN);
         y->innovation[c] = compared ? innovation : R(NAN);
-        y->variance[c] = compared ? n.variance : R(NAN);
-        y->per_variance[c] = n.per_variance;
-        y->r[c] = r;
-        y->crowded[c] = crowding(age, r);
-        y->fused[c] = fused ? 1 : 0;
+        y->expected[c] = compared ? expected : R(NAN);
     }
 }
 
-static void learn_lanes(const real *restrict p, struct lanes *restrict w, const struct work *restrict y)
-{
-    EACH_LANE {
-        struct adapted a = load_adapted(w, c);
-        learn(p, &a, y->innovation[c], y->variance[c], y->per_variance[c], y->r[c], y->crowded[c],
-              y->fused[c] != 0, y->since_heard[c], y->dyn[D_ERROR][c], y->ohmic[c], y->r0[c]);
-        store_adapted(w, c, &a);
-    }
-}
-
-static void judge_lanes(const real *restrict p, struct lanes *restrict w, struct lanes *restrict s,
-                        struct work *restrict y)
+static void judge_lanes(const real *restrict p, const struct tick *restrict t, struct lanes *restrict w,
+                        struct lanes *restrict s, struct work *restrict y)
 {
     whole refused = 0;
     EACH_LANE {
         const struct belief b = load(w, c);
-        const whole code = y->code[c] | missing(p, y->current_age, y->gap, w->voltage_age[c], w->temperature_age[c]);
-        const bool good = ((y->alive[c] == 0) | sound(&b, w->voltage_age[c])) & ((code & FAULT_NUMERIC) == 0);
+        const struct held h = load_held(w, c);
+        const whole code = y->code[c] | missing(p, t, &h);
+        const bool good = ((y->alive[c] == 0) | sound(&b, h.voltage_age)) & ((code & FAULT_NUMERIC) == 0);
         y->code[c] = good ? code : FAULT_NUMERIC;
         refused |= good ? 0 : 1;
     }
@@ -881,7 +990,7 @@ static void judge_lanes(const real *restrict p, struct lanes *restrict w, struct
             if (y->code[c] == FAULT_NUMERIC) {
                 for (size_t k = (size_t)c; k < sizeof *w / sizeof(real); k += LANES)
                     ((real *)w)[k] = ((const real *)s)[k];
-                y->predicted[c] = y->innovation[c] = y->variance[c] = R(NAN);
+                y->predicted[c] = y->innovation[c] = y->expected[c] = R(NAN);
             }
     whole near = 0;
     EACH_LANE {
@@ -915,20 +1024,21 @@ static void publish(const struct lanes *restrict s, const struct work *restrict 
         out[OUT_SOC_HIGH * cells + c] = y->high[c];
         out[OUT_VOLTAGE_PRED * cells + c] = y->predicted[c];
         out[OUT_INNOVATION * cells + c] = y->innovation[c];
-        out[OUT_INNOVATION_VAR * cells + c] = y->variance[c];
-        out[OUT_NIS * cells + c] = y->innovation[c] * y->innovation[c] * y->per_variance[c];
+        out[OUT_INNOVATION_VAR * cells + c] = y->expected[c];
+        out[OUT_NIS * cells + c] = y->innovation[c] * y->innovation[c] / y->expected[c];
         out[OUT_AGE * cells + c] = s->voltage_age[c];
-        out[OUT_R0 * cells + c] = y->alive[c] ? y->r0[c] : R(NAN);
+        out[OUT_BIAS * cells + c] = s->x[BIAS][c];
+        out[OUT_R0 * cells + c] = y->alive[c] ? y->r0[c] * (1 + s->x[R0][c]) : R(NAN);
         out[OUT_CODE * cells + c] = (real)y->code[c];
     }
 }
 
 /* Of the first `count` cells of a block. Returns their faults and, from bit STATUS_SHIFT up, a bit for each status. */
-static int tick_block(const real *p, struct block *s, struct work *y, real *io, long cells, int count)
+static int tick_block(const real *p, const struct tick *t, struct block *s, struct work *y, real *io, long cells,
+                      int count)
 {
     struct lanes w = s->lanes;
     real temperature[LANES];
-    whole everyone = 1;
     for (int c = 0; c < LANES; c++) {
         y->voltage[c] = c < count ? io[IN_VOLTAGE * cells + c] : R(NAN);
         temperature[c] = c < count ? io[IN_TEMPERATURE * cells + c] : R(NAN);
@@ -937,21 +1047,18 @@ static int tick_block(const real *p, struct block *s, struct work *y, real *io, 
         const struct belief b = load(&w, c);
         y->alive[c] = sound(&b, w.voltage_age[c]) ? 1 : 0;
     }
-    take_lanes(p, &w, y, temperature);
-    schedule(p, s, &w, y);
-    ohmic(p, &w, y);
-    if (y->dt > 0) {
-        relax(p, y);
-        advance_lanes(p, &w, y);
+    take_lanes(p, t, &w, y, temperature);
+    schedule(p, t, s, &w, y);
+    drop_lanes(p, t, &w, y);
+    if (t->moves) {
+        relax(t, y);
+        advance_lanes(p, t, &w, y);
     }
-    for (int c = 0; c < count; c++)
-        everyone &= y->alive[c];
-    if (!everyone)
-        start_lanes(p, &w, y, count);
+    if (t->rested)
+        fuse_rest_lanes(p, t, &w, y);
     look_up(p, &w, y);
     fuse_lanes(p, &w, y);
-    learn_lanes(p, &w, y);
-    judge_lanes(p, &w, &s->lanes, y);
+    judge_lanes(p, t, &w, &s->lanes, y);
     publish(&s->lanes, y, io, cells, count);
     int faults = 0, seen = 0;
     for (int c = 0; c < count; c++) {
@@ -964,24 +1071,17 @@ static int tick_block(const real *p, struct block *s, struct work *y, real *io, 
 int pack_tick(const real *p, struct pack *pack, real *io, long cells, double dt_s, double current_A)
 {
     struct work y;
-    const real dt = y.dt = (real)dt_s, current = (real)current_A;
-    y.fresh = within(p, P_CURRENT_MIN, current);
-    y.fault = !y.fresh && !isnan(current) ? FAULT_CURRENT_IMPLAUSIBLE : 0;
-    y.current = pack->current = y.fresh ? current : pack->current;
-    y.current_age = pack->current_age = y.fresh ? 0 : pack->current_age + dt;
-    y.gap = clamp((y.fresh ? dt : y.current_age) - p[P_CURRENT_TIMEOUT], 0, dt);
-    y.known = dt - y.gap;
-    y.moved = charge(p, y.current, y.known);
+    const struct tick t = begin(p, &pack->sensor, (real)dt_s, (real)current_A);
     int codes = 0;
     for (long first = 0; first < cells; first += LANES) {
         const int count = (int)(cells - first < LANES ? cells - first : LANES);
-        codes |= tick_block(p, &pack->blocks[first / LANES], &y, io + first, cells, count);
+        codes |= tick_block(p, &t, &pack->blocks[first / LANES], &y, io + first, cells, count);
     }
     const int seen = codes >> STATUS_SHIFT;
     const int status = seen & 1 << STATUS_INITIALISING ? STATUS_INITIALISING
-                       : seen & 1 << STATUS_INVALID    ? STATUS_INVALID
-                       : seen & 1 << STATUS_DEGRADED   ? STATUS_DEGRADED
-                                                       : STATUS_OK;
+                       : seen == 1 << STATUS_INVALID   ? STATUS_INVALID
+                       : seen == 1 << STATUS_OK        ? STATUS_OK
+                                                       : STATUS_DEGRADED;
     return (codes & ((1 << STATUS_SHIFT) - 1)) | status << STATUS_SHIFT;
 }
 
@@ -997,14 +1097,20 @@ int pack_replay(const real *p, struct pack *pack, real *io, long cells, long n, 
     return code;
 }
 
+void pack_adopt(struct pack *pack, const real *state, long cells, long size)
+{
+    pack->sensor = sensor_of(state, LANES);
+    for (long first = 0; first < cells; first += LANES)
+        for (int c = 0; c < LANES; c++) {
+            const real *record = state + first * size + c;
+            const struct held h = held_of(record, LANES);
+            const struct belief b = belief_of(record, LANES);
+            store_held(&pack->blocks[first / LANES].lanes, c, &h);
+            store(&pack->blocks[first / LANES].lanes, c, &b);
+        }
+}
+
 size_t pack_size(long cells)
 {
     return sizeof(struct pack) + (size_t)((cells + LANES - 1) / LANES) * sizeof(struct block);
-}
-
-void pack_reset(struct pack *pack, long cells)
-{
-    real *numbers = (real *)pack;
-    for (size_t k = 0; k < pack_size(cells) / sizeof(real); k++)
-        numbers[k] = R(NAN);
 }

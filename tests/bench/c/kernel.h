@@ -1,9 +1,13 @@
-/* The filter step of bms_ukf/kernel as C, by hand: two RC pairs, no bias, no core; what the benchmark compares with.
+/* The filter step of bms_ukf/kernel as C, by hand: what the benchmark compares with. Two RC pairs, a bias, no core.
  *
- * Compile with -DBITS=64 or 32 (numbers) and -DHYSTERESIS=0 or 1 (a fourth state). `params` is the buffer that
+ * Compile with -DBITS=64 or 32 (numbers) and -DHYSTERESIS=0 or 1 (a further state). `params` is the buffer that
  * bms_ukf.kernel.params.params makes; layout.h, its slots, is written from the Python at build time (c_kernel.py).
- * Left out: the quadrature update of a wide first belief, the belief doubted after P_REJECT_S, a cell's own capacity,
- * resistances, current and bleed, and the blocks that a part of an instant leaves as they are.
+ *
+ * Only the path of one Gaussian is here. A cell takes over the record of an Estimator whose belief is one Gaussian
+ * (`cell_adopt`, `pack_adopt`), and is right while that belief stays narrow. Left out: the components of a wide belief
+ * and with them a first belief, a belief doubted after P_REJECT_S, an offset read while no current can flow, the
+ * offset that cells exchange, a cell's own capacity, resistances, current and bleed, and the blocks that a part of an
+ * instant leaves as they are.
  */
 #ifndef KERNEL_H
 #define KERNEL_H
@@ -23,8 +27,12 @@ typedef int64_t whole;
 
 enum {
     N_RC = 2,
-    N_V = N_RC + HYSTERESIS,
-    N = 1 + N_V, /* soc, v_rc1, v_rc2, hysteresis */
+    N_POL = N_RC + HYSTERESIS, /* polarisation voltages */
+    N_V = N_POL + 1,           /* all voltages: the slow error, too */
+    SLOW = N_V,                /* the states: soc, v_rc1, v_rc2, hysteresis, slow voltage error, error of r0, bias */
+    R0 = SLOW + 1,
+    BIAS = R0 + 1,
+    N = BIAS + 1,
     ROOTS = N * (N + 1) / 2,
     CHANNELS = D_RC1 + 2 * N_RC + HYSTERESIS,
     COMPENSATED = BITS == 32,
@@ -34,35 +42,45 @@ enum {
 
 struct belief {
     real x[N];
-    real root[N][N];  /* sqrt_P, lower triangle */
-    real carry[N];    /* of x, if COMPENSATED: what rounding took off */
+    real root[N][N]; /* sqrt_P, lower triangle */
+    real carry[N];   /* of x, if COMPENSATED: what rounding took off */
 };
 
-/* What the innovations tell of the model. */
-struct adapted {
-    real voltage_scale, r0_scale, r0_var;
-    real residual;     /* what the last voltage fused left of its innovation; NaN: there was none */
-    real drift, ohmic; /* of the prediction's error, from the last whole block on; the mean ohmic drop of that block */
-    real block_drift, block_ohmic, block_count, block_s; /* sums over the present one */
-    real fresh;           /* 1: no voltage has been fused yet */
+/* What a cell holds beside its belief, and the slot of layout.py that has it. An age or a value of NaN: never measured.
+ * soc_walk, if COMPENSATED: growth of SoC's variance that the root cannot show yet. */
+#define HELD_SLOTS(SLOT)                                                                                              \
+    SLOT(temperature, H_TEMPERATURE) SLOT(temperature_age, H_TEMPERATURE_AGE) SLOT(voltage_age, H_VOLTAGE_AGE)        \
+    SLOT(heard_age, H_HEARD_AGE) SLOT(rejected_s, H_REJECTED_S) SLOT(last_V, H_LAST_V) SLOT(repeats, H_REPEATS)       \
+    SLOT(voltage_scale, H_VOLTAGE_SCALE) SLOT(recent, H_RECENT) SLOT(used, H_USED) SLOT(lead, H_LEAD)                 \
+    SLOT(soc_walk, H_SOC_WALK)
+
+struct held {
+#define SLOT(name, slot) real name;
+    HELD_SLOTS(SLOT)
+#undef SLOT
+    real polarised[N_RC]; /* voltage of each RC pair by the current alone */
 };
 
-/* One cell. An age or a value of NaN: never measured. */
+/* The current, and how long it has not moved. */
+struct sensor {
+    real current, age, gap_s;
+    real still_A, still_s, rest_A, loaded;
+};
+
 struct cell {
-    real current, temperature;
-    real current_age, temperature_age, voltage_age, heard_age, rejected_s, gap_s;
-    struct adapted adapted;
+    struct sensor sensor;
+    struct held held;
     struct belief belief;
     real voltage_pred, innovation, innovation_var, nis; /* of the last step; NaN: nothing compared */
-    real soc, sigma, low, high; /* published */
+    real soc, sigma, low, high;                         /* published */
 };
 
 /* The same for LANES cells, and their rows of the dynamics table. */
 struct lanes {
-    real temperature[LANES], temperature_age[LANES];
-    real voltage_age[LANES], heard_age[LANES], rejected_s[LANES], gap_s[LANES];
-    real voltage_scale[LANES], r0_scale[LANES], r0_var[LANES], residual[LANES], fresh[LANES];
-    real drift[LANES], ohmic[LANES], block_drift[LANES], block_ohmic[LANES], block_count[LANES], block_s[LANES];
+#define SLOT(name, slot) real name[LANES];
+    HELD_SLOTS(SLOT)
+#undef SLOT
+    real polarised[N_RC][LANES];
     real x[N][LANES], root[ROOTS][LANES], carry[N][LANES];
 };
 
@@ -74,9 +92,13 @@ struct block {
 
 /* Cells in series: one current for all. */
 struct pack {
-    real current, current_age;
+    struct sensor sensor;
     _Alignas(64) struct block blocks[];
 };
+
+/* Take over the record, or the blocks of records, of an Estimator. `size`: slots of a record. */
+void cell_adopt(struct cell *cell, const real *record);
+void pack_adopt(struct pack *pack, const real *state, long cells, long size);
 
 /* All return faults and, from bit STATUS_SHIFT up, a status, as bms_ukf.kernel.entry.tick does. */
 int cell_step(const real *params, struct cell *cell, double dt_s, double current_A, double voltage_V,
@@ -89,9 +111,7 @@ int pack_tick(const real *params, struct pack *pack, real *io, long cells, doubl
 int pack_replay(const real *params, struct pack *pack, real *io, long cells, long n, const real *drive,
                 const real *measured);
 
-void cell_reset(struct cell *cell);
 size_t cell_size(void);
-void pack_reset(struct pack *pack, long cells);
 size_t pack_size(long cells);
 
 #endif
