@@ -31,7 +31,10 @@ LASTS_S = 300.0  # how long an unknown current stays about the same
 
 @inline
 def drop(p: Any, w: Any, y: Any, m: Any, lanes: int, dt: Any) -> None:
-    """The ohmic drop, its slope over the current and its uncertainty; with no current known, what one could make it."""
+    """Compute each lane's ohmic drop, its slope over the error of r0 and its sigma; move H_RECENT on by `dt` s.
+
+    With no current known the drop is 0, and its sigma that of P_CURRENT_RANGE.
+    """
     W = m.lanes
     zero, one = real(p, 0), real(p, 1)
     largest = p[k.P_CURRENT_RANGE]

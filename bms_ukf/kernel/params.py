@@ -42,7 +42,7 @@ R0_TAU_S, R0_SOC = 20_000.0, 0.6
 R0_PER_K = 0.03  # how fast a resistance changes with temperature, relative
 # Errors that pass within FAST_S.
 FAST_SIGMA_V = 0.005
-FAST_HYSTERESIS = 1.5  # times the largest hysteresis voltage: what readings of FAST_S tell a one-state model of it by
+FAST_HYSTERESIS = 1.5  # times the largest hysteresis voltage: one sigma of what a one-state model of it leaves
 FAST_REL = 0.6  # after a change of the current, as a share of the change of the ohmic drop
 
 MOVED = 0.5  # of the capacity: a walk of SoC from an unknown gain is here as wide as the error of that gain

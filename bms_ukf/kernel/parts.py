@@ -161,7 +161,7 @@ def share_current(p: Any, w: Any, y: Any, b: Any, v: Any, m: Any, mb: Any, c: in
 
     The r0 of a component's own SoC counts for the drop that has stood for some seconds, beyond that of a small load.
     By the noise of a current sensor, the components of one r0 would have smaller innovations than others at every
-    sample, whatever the voltage says of SoC.
+    sample, even where the voltage holds no information on SoC.
     """
     W, B = m.lanes, mb.lanes
     r0 = k.D_R0 if w[W * k.H_THROUGH + c] >= real(w, 0) else k.D_R0_CHARGE

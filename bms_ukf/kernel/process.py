@@ -247,7 +247,7 @@ def relax_rc(p: Any, w: Any, y: Any, m: Any, c: int, j: int, lost: Any, g: Any, 
     g[k.V_RC1 + j] = real(p, 0)
     gain[k.V_RC1 + j] = r * i * to_target
     w[W * (k.H_POLARISED + j) + c] += r * i * to_target - lost[k.V_RC1 + j] * w[W * (k.H_POLARISED + j) + c]
-    # Model error as an Ornstein-Uhlenbeck process: the same stationary variance whatever the sample rate.
+    # Model error as an Ornstein-Uhlenbeck process: the same stationary variance at every sample rate.
     times = y[W * (k.Y_DYN + k.D_ERROR) + c]
     relative = p[k.P_RC_REL] * r * i
     unknown = r * p[k.P_CURRENT_RANGE]

@@ -186,7 +186,8 @@ def innovate(
     """Predict the measurement `z` and compare: leaves the prediction, the innovation (z minus it) and its variance.
 
     `g0, g_plus, g_minus`: OCV at SoC x[0] and at x[0] +- gamma sqrt_P[0, 0]; `drop`: the ohmic drop by the cell file's
-    r0, at no bias; `r`: variance of the measurement. The belief is not touched, so a gate can stand before `update`.
+    r0, of the current as measured; `r`: variance of the measurement. The belief is not touched, so a gate can stand
+    before `update`.
     """
     W = m.lanes
     e = p[P_W] * (g_plus + g_minus - g0 - g0)
