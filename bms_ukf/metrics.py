@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bms_ukf import honesty
 
+Array = NDArray[np.float64]
+
 SETTLED_PCT = 2.0  # an estimate has settled when its error stays within this
 PAD_S = 600.0  # the second set of figures leaves out the time the estimator needs to find the state
 
@@ -34,7 +36,7 @@ def score(
         `n_scored` and `n_unavailable`, then, None where there is nothing to score:
         `rmse_pct`, `mae_pct`, `max_pct` (largest absolute error), `bias_pct` (mean error), `coverage95` (share of rows
         whose reference is inside the interval, as `honesty.inside` has it), `settled_s` (seconds from the first row
-        until the error stays within 2 %).
+        until the error stays within 2 %), `half_width_pct` (median of half the interval).
     """
     time_s = np.asarray(t_s, dtype=np.float64)
     elapsed_s = time_s - time_s[:1]
@@ -45,16 +47,19 @@ def score(
     inside = honesty.inside(low, high, reference, soc_ref_sigma)
 
     known = np.isfinite(reference)
-    elapsed_s, error, inside = elapsed_s[known], error[known], inside[known]
+    elapsed_s, error, inside, half_width = elapsed_s[known], error[known], inside[known], (high - low)[known] / 2
     late = elapsed_s >= PAD_S
-    return _window(elapsed_s, error, inside) | {"after_600s": _window(elapsed_s[late], error[late], inside[late])}
+    after = _window(elapsed_s[late], error[late], inside[late], half_width[late])
+    return _window(elapsed_s, error, inside, half_width) | {"after_600s": after}
 
 
-def _window(elapsed_s: NDArray[np.float64], error: NDArray[np.float64], inside: NDArray[np.bool_]) -> dict[str, Any]:
+def _window(elapsed_s: Array, error: Array, inside: NDArray[np.bool_], half_width: Array) -> dict[str, Any]:
     available = np.isfinite(error)
     counts = {"n_scored": int(available.sum()), "n_unavailable": int((~available).sum())}
     if not available.any():
-        return counts | dict.fromkeys(("rmse_pct", "mae_pct", "max_pct", "bias_pct", "coverage95", "settled_s"))
+        return counts | dict.fromkeys(
+            ("rmse_pct", "mae_pct", "max_pct", "bias_pct", "coverage95", "settled_s", "half_width_pct")
+        )
     error_pct = 100 * error[available]
     outside = ~available | (np.abs(100 * error) > SETTLED_PCT)
     first_settled = int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 0
@@ -65,6 +70,7 @@ def _window(elapsed_s: NDArray[np.float64], error: NDArray[np.float64], inside: 
         "bias_pct": float(np.mean(error_pct)),
         "coverage95": float(np.mean(inside[available])),
         "settled_s": float(elapsed_s[first_settled]) if first_settled < elapsed_s.size else None,
+        "half_width_pct": float(100 * np.median(half_width[available])),
     }
 
 

@@ -10,9 +10,11 @@ import measured
 import numpy as np
 import pytest
 
+from bms_ukf import CellParams
+from bms_ukf import score as score_package
 from bms_ukf.manifest import MeasuredTest
-from bms_ukf.offline.signals import Signals
-from bms_ukf.score import cases, weights
+from bms_ukf.offline.signals import Signals, Told
+from bms_ukf.score import Grid, cases, tables, weights
 from bms_ukf.score.recorded import Recorded
 from bms_ukf.score.weights import Outcome
 
@@ -66,9 +68,9 @@ def whole(data: Path) -> Path:
 # --- the cases ------------------------------------------------------------------------------------------------------
 
 
-def made(rows: int = 2000, role: str = "drive") -> Recorded:
-    """From 95 % to 45 % at 1 Hz, with a standstill every 50 s."""
-    time_s = np.arange(float(rows))
+def made(rows: int = 2000, role: str = "drive", step_s: float = 1.0) -> Recorded:
+    """From 95 % to 45 %, with a standstill every 50 s at 1 Hz."""
+    time_s = step_s * np.arange(float(rows))
     current_A = np.where(time_s % 50 < 5, 0.0, 5.0)
     test = MeasuredTest(role=role, file="made.csv", temperature_degC=25.0)
     signals = Signals(time_s, current_A, np.linspace(4.1, 3.6, rows), np.full(rows, 25.0))
@@ -99,13 +101,24 @@ def test_an_offset_is_added_to_the_current_in_the_projects_own_sign() -> None:
     assert added_A == pytest.approx(-0.3)
 
 
-def test_a_wrong_start_is_cut_where_the_drive_comes_by_its_soc_and_every_row_from_there_counts() -> None:
-    case, recorded = by_name(made())["initial 0.6"], made()
+@pytest.mark.parametrize("step_s", [1.0, 0.5, 7.0])
+def test_a_wrong_start_is_cut_at_its_soc_after_an_hour_at_rest_that_does_not_count(step_s: float) -> None:
+    recorded = made(4000, step_s=step_s)
+    case = by_name(recorded)["initial 0.6"]
     assert case.told.soc == 1.0
-    rows = case.soc_ref.size
-    assert case.soc_ref[0] <= 0.6 < recorded.soc_ref[-rows - 1]
-    np.testing.assert_array_equal(case.signals.voltage_V, recorded.signals.voltage_V[-rows:])
-    np.testing.assert_array_equal(case.soc_ref, recorded.soc_ref[-rows:])
+    before, rows = case.padded, case.soc_ref.size - case.padded
+    assert case.soc_ref[before] <= 0.6 < recorded.soc_ref[-rows - 1]
+    for padded, column in zip(
+        (case.signals.voltage_V, case.signals.current_A, case.soc_ref),
+        (recorded.signals.voltage_V, recorded.signals.current_A, recorded.soc_ref),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(padded[before:], column[-rows:])
+    np.testing.assert_array_equal(case.signals.current_A[:before], 0.0)
+    np.testing.assert_array_equal(case.signals.voltage_V[:before], recorded.signals.voltage_V[-rows])
+    assert np.isnan(case.soc_ref[:before]).all()
+    assert case.signals.time_s[before] - case.signals.time_s[0] == pytest.approx(3600, abs=step_s)
+    np.testing.assert_allclose(np.diff(case.signals.time_s), step_s)
 
 
 def test_a_startup_is_told_wrong_over_the_whole_recording() -> None:
@@ -117,7 +130,8 @@ def test_a_startup_is_told_wrong_over_the_whole_recording() -> None:
 
 
 def outcome(kind: str, rmse_pct: float | None, temperature: float = 25.0, value: float = 0.0, **more: str) -> Outcome:
-    kept = dict.fromkeys(("mae_pct", "max_pct", "coverage95", "settled_s"), 1.0 if rmse_pct is not None else None)
+    names = ("mae_pct", "max_pct", "coverage95", "settled_s", "half_width_pct")
+    kept = dict.fromkeys(names, 1.0 if rmse_pct is not None else None)
     figures = {"rmse_pct": rmse_pct, **kept}
     fields = {"role": "drive", "group": "standard", "use": "validate"} | more
     late = figures | {"rmse_pct": 7.0}
@@ -158,6 +172,48 @@ def test_a_temperature_counts_once_however_many_drives_it_has() -> None:
     outcomes = [outcome("nominal", 1.0), outcome("nominal", 3.0), outcome("nominal", 8.0, temperature=0.0)]
     assert weights.figures("temperatures", outcomes)["rmse_pct"] == 5.0
     assert weights.figures("standard cycles", outcomes)["rmse_pct"] == 4.0
+
+
+def test_the_three_cuts_weigh_three_two_and_one_however_many_drives_reach_each() -> None:
+    runs = [outcome("initial", 1.0, value=0.9), outcome("initial", 3.0, value=0.9), outcome("initial", 6.0, value=0.6)]
+    assert weights.figures("initial SoC", [*runs, outcome("initial", 12.0, value=0.3)])["rmse_pct"] == pytest.approx(
+        (3 * 2 + 2 * 6 + 1 * 12) / 6
+    )
+    assert weights.figures("initial SoC", runs)["rmse_pct"] == pytest.approx((3 * 2 + 2 * 6) / 5)
+
+
+def test_variants_are_by_temperature_and_case_without_what_was_fitted() -> None:
+    found = weights.variants(
+        [
+            outcome("startup", 2.0, value=0.3),
+            outcome("nominal", 1.0, temperature=0.0),
+            outcome("offset", 4.0, value=0.3),
+            outcome("nominal", 1.0),
+            outcome("nominal", 5.0, use="fit"),
+            outcome("nominal", 3.0),
+        ]
+    )
+    assert [(*variant, len(runs)) for variant, runs in found.items()] == [
+        (25.0, "nominal", 2),
+        (25.0, "offset", 1),
+        (25.0, "startup", 1),
+        (0.0, "nominal", 1),
+    ]
+    assert weights.figures("", found[weights.Variant(25.0, "startup")])["rmse_pct"] == 7.0  # from 600 s on
+
+
+def test_a_group_is_marked_where_its_interval_misses_or_says_little() -> None:
+    def variant(coverage95: float, half_width_pct: float) -> dict:
+        figures = {"rmse_pct": 1.0, "coverage95": coverage95, "half_width_pct": half_width_pct}
+        return {"temperature_degC": 25.0, "case": "offset +0.3 A", **figures}
+
+    found = [variant(0.93, 3.0), variant(0.929, 3.0), variant(0.93, 3.01)]
+    estimators = {"srukf": {"variants": found}}
+    summary = {"estimators": estimators, "offsets_c_rate": {"+0.3": 0.1}, "step_s": 1.0, "health": True, "missing": []}
+    table = tables.variants(summary)
+    assert [row[-2:] for row in table.rows] == [["93.0 %", "3.00"], ["92.9 % !", "3.00"], ["93.0 %", "3.01 !"]]
+    assert table.rows[0][0] == "25 °C, offset +0.3 A (+0.10 C)"
+    assert "2 have at least 93 % inside, and 2 a median" in tables.notes(summary)[0]
 
 
 def test_an_estimator_that_says_nothing_is_wrong_by_everything() -> None:
@@ -222,6 +278,62 @@ def test_coulomb_counting_shows_what_each_case_does_to_a_counter(scored: tuple[d
     expected_pct = 100 * 0.3 * duration_h / summary["capacity_Ah"]
     assert runs["warm", "offset -0.3 A"]["max_pct"] == pytest.approx(expected_pct, abs=0.6)
     assert runs["warm", "offset -0.3 A"]["bias_pct"] > 0 > runs["warm", "offset +0.3 A"]["bias_pct"]
+
+
+def test_every_temperature_and_case_has_the_share_inside_and_the_median_half_width(scored: tuple[dict, str]) -> None:
+    summary, page = scored
+    ours = {(found["temperature_degC"], found["case"]): found for found in summary["estimators"]["srukf"]["variants"]}
+    runs = [o["figures"] for o in summary["outcomes"] if o["estimator"] == "srukf" and o["use"] == "validate"]
+    assert sum(found["recordings"] for found in ours.values()) == len(runs)
+    nominal = [run for run in summary["outcomes"] if run["estimator"] == "srukf" and run["case"] == "nominal"]
+    cold = next(run["figures"] for run in nominal if run["temperature_degC"] == 0.0 and run["use"] == "validate")
+    for key in ("rmse_pct", "coverage95", "half_width_pct"):
+        assert ours[0.0, "nominal"][key] == cold[key]
+    assert "0 °C, offset -0.3 A (-0.06 C)" in page
+
+
+@pytest.mark.parametrize(("options", "rows"), [([], 1800), (["--resample", "10"], 180), (["--native"], 3599)])
+def test_the_rate_is_once_a_second_or_as_asked_or_as_recorded(
+    data: Path, bms_ukf, options: list[str], rows: int
+) -> None:
+    fast = np.loadtxt(data / "warm.csv", delimiter=",", skiprows=1)
+    halves = np.arange(fast[0, 0], fast[-1, 0] + 0.1, 0.5)
+    columns = [np.interp(halves, fast[:, 0], column) for column in fast.T[1:]]
+    measured.write(data / "fast.csv", np.column_stack([halves, *columns]))
+    path = manifest(data, listed("fast.csv"))
+    given = ["score", path, "--cell", "lgm50_chen2020", "--estimator", "coulomb", "--json", data / "r.json", *options]
+    assert bms_ukf(*given).code == 0
+    summary = json.loads((data / "r.json").read_text())
+    assert list(summary["estimators"]) == ["coulomb"]
+    nominal = next(found for found in summary["outcomes"] if found["case"] == "nominal")
+    assert nominal["figures"]["n_scored"] == pytest.approx(rows, rel=0.05)
+    assert nominal["figures"]["rmse_pct"] < 0.5
+    cut = next(found for found in summary["outcomes"] if found["case"] == "initial 0.9")
+    assert cut["figures"]["max_pct"] == pytest.approx(10, abs=1.5)
+
+
+def test_ours_learns_the_capacity_on_the_way_unless_it_must_not(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hours of use decide what is learned: here it matters only which of the two was asked to run."""
+    asked = []
+
+    def stand_in(name: str):
+        def run(signals: Signals, _told: Told | None) -> dict:
+            asked.append(name)
+            column = np.full(signals.time_s.size, 0.5)
+            return {"soc": column, "soc_low": column - 0.1, "soc_high": column + 0.1}
+
+        return run
+
+    monkeypatch.setattr(
+        score_package, "followed", lambda cell, tuning, signals, told: (stand_in("health")(signals, told), None)
+    )
+    monkeypatch.setattr(score_package, "prepare", lambda name, cell, tuning: stand_in("no health"))
+    path = manifest(data, listed("charge.csv", role="charge"))
+    for health, expected in ((True, "health"), (False, "no health")):
+        asked.clear()
+        found = score_package.score(path, CellParams.load("lgm50_chen2020"), Grid(("srukf",), health=health))
+        assert set(asked) == {expected}
+        assert found.summary["health"] is health
 
 
 def test_ours_finds_the_start_that_coulomb_counting_cannot(scored: tuple[dict, str]) -> None:
@@ -290,6 +402,8 @@ def test_a_gate_decides_the_exit_code(bms_ukf, data: Path, gate: str, code: int)
             "expected weighted_rmse_pct=X with a limit",
         ),
         ([listed("charge.csv", role="charge")], ["--cell", "nothing"], "one of the shipped cells"),
+        ([listed("warm.csv")], ["--native", "--resample", "2"], "--native: expected no --resample"),
+        ([listed("warm.csv")], ["--leave-one-out"], "either --cell or --leave-one-out"),
     ],
 )
 def test_a_mistake_is_one_line(bms_ukf, data: Path, tests: list[str], more: list[str], told: str) -> None:

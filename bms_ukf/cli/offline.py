@@ -10,7 +10,7 @@ import click
 
 from bms_ukf.cli.files import PATH, writable, write, write_json
 from bms_ukf.cli.group import cli
-from bms_ukf.errors import BmsError
+from bms_ukf.errors import BmsError, ConfigError
 
 
 @cli.command()
@@ -110,23 +110,52 @@ def replay_(
 
 @cli.command("score")
 @click.argument("manifest", type=PATH)
-@click.option("--cell", required=True, help="A cell file, or the name of a shipped one.")
+@click.option("--cell", help="A cell file, or the name of a shipped one; required but for --leave-one-out.")
+@click.option(
+    "--leave-one-out",
+    is_flag=True,
+    help="For each drive and charge file, identify a cell from the manifest without it, and score it with that cell.",
+)
+@click.option("--estimator", "estimators", multiple=True, type=click.Choice(["srukf", "ekf", "coulomb"]), help="[all]")
+@click.option("--resample", "resample_s", type=click.FloatRange(0, min_open=True), help="Rows so far apart, s.  [1]")
+@click.option("--native", is_flag=True, help="Rows as recorded, instead of --resample.")
+@click.option("--health/--no-health", default=True, help="Tell capacity from use, and count SoC by it.  [--health]")
 @click.option("--gate", "gates", multiple=True, metavar="NAME=LIMIT", help="Exit 1 above it: weighted_rmse_pct=2.5")
 @click.option("--json", "json_path", type=PATH, callback=writable, help="Write all figures here.")
 @click.option("--report", type=PATH, help="Write a page with plots here, or plots and page into this folder.")
-def score_(manifest: Path, cell: str, gates: tuple[str, ...], json_path: Path | None, report: Path | None) -> None:
+def score_(
+    manifest: Path,
+    cell: str | None,
+    leave_one_out: bool,
+    estimators: tuple[str, ...],
+    resample_s: float | None,
+    native: bool,
+    health: bool,
+    gates: tuple[str, ...],
+    json_path: Path | None,
+    report: Path | None,
+) -> None:
     """Score the estimator over the tests of a MANIFEST that were not fitted, as the blind SoC benchmark does."""
     from rich.console import Console
 
     from bms_ukf import score
     from bms_ukf.cell import CellParams
+    from bms_ukf.offline.estimators import ESTIMATORS
     from bms_ukf.report.score import write_report
-    from bms_ukf.score import gate, view
+    from bms_ukf.score import Grid, gate, leaveoneout, view
+    from bms_ukf.score.recorded import STEP_S
 
     limits = [gate.parse(text) for text in gates]
-    loaded = CellParams.load(cell)
+    if native and resample_s is not None:
+        raise ConfigError("--native", expected="no --resample beside it")
+    if (cell is None) != leave_one_out:
+        raise ConfigError("--cell", value=cell, expected="either --cell or --leave-one-out")
+    grid = Grid(estimators or tuple(ESTIMATORS), None if native else resample_s or STEP_S, health)
     with Console(stderr=True).status("score") as status:
-        found = score.score(manifest, loaded, progress=status.update)
+        if cell is None:
+            found = leaveoneout.score(manifest, grid, progress=status.update)
+        else:
+            found = score.score(manifest, CellParams.load(cell), grid, progress=status.update)
     view.show(found.summary, Console())
     if json_path is not None:
         write_json(json_path, found.summary)

@@ -24,7 +24,7 @@ def write_report(target: Path, found: Score) -> Path:
         "score.html.j2",
         list(render(found)),
         title=summary["cell"],
-        tables=[tables.groups(summary), tables.temperatures(summary), tables.recordings(summary)],
+        tables=tables.every(summary),
         runs=[tables.runs(summary, name) for name in summary["estimators"]],
         notes=tables.notes(summary),
         provenance=[("Cell file", summary["cell"]), ("Manifest", summary["manifest"]), *machine()],

@@ -3,9 +3,9 @@
 The cases are those of the blind benchmark of McMaster University (Kollmeyer et al., ITEC 2022), and a start-up case.
 What an estimator is told of SoC has the same sigma in all of them: it cannot know which case it is in.
 
-The benchmark puts an hour of the first sample before each of its recordings. Ours are cut in the middle of a drive
-where the benchmark's were made to begin at rest: an hour of such a sample would be a load that never was, or a rest
-after which the voltage had not risen. So there is no such hour, and every row from the cut on counts.
+As in the benchmark, a wrong start is preceded by an hour without current, at the first voltage and temperature of what
+follows. The hour gives the estimator time to find its start, and does not count. Ours are cut in the middle of a drive:
+the held voltage is one under load or just after it, so the hour is a rest whose voltage has not recovered.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.offline.signals import Signals, Told
-from bms_ukf.score.recorded import STEP_S, Recorded
+from bms_ukf.score.recorded import Recorded
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,8 @@ NOMINAL, INITIAL, STARTUP, OFFSET = "nominal", "initial", "startup", "offset"
 LEVELS = (0.9, 0.6, 0.3)
 OFFSETS_A = (-0.3, -0.1, 0.1, 0.3)
 TAKEN_FOR = 1.0  # the SoC that the benchmark's models take every start for
+INITIAL_WEIGHTS = {0.9: 3.0, 0.6: 2.0, 0.3: 1.0}  # of the benchmark's three cuts; divided by their sum
+PADDED_S = 3600.0  # before a cut
 LEAST_S = 300.0  # of rows that count after a cut: no fewer, or no case
 
 
@@ -37,6 +39,7 @@ class Case:
     signals: Signals
     soc_ref: Array  # NaN: does not count
     told: Told
+    padded: int = 0  # rows put before the recording's: figures and time begin after them
 
     @property
     def name(self) -> str:
@@ -56,8 +59,11 @@ def of(recorded: Recorded, sigma: float) -> Iterator[Case]:
     for level in LEVELS:
         yield Case(STARTUP, level, signals, reference, Told(level, sigma))
         row = _reaches(recorded, level)
-        if row is not None and np.isfinite(reference[row:]).sum() >= LEAST_S / STEP_S:
-            yield Case(INITIAL, level, signals.since(row), reference[row:], Told(TAKEN_FOR, sigma))
+        if row is None or not _counts_for(signals.time_s[row:], reference[row:]) >= LEAST_S:
+            continue
+        padded, rows = _padded(signals.since(row))
+        before = np.full(rows, np.nan)
+        yield Case(INITIAL, level, padded, np.concatenate([before, reference[row:]]), Told(TAKEN_FOR, sigma), rows)
 
 
 def _reaches(recorded: Recorded, level: float) -> int | None:
@@ -65,3 +71,24 @@ def _reaches(recorded: Recorded, level: float) -> int | None:
     below = recorded.soc_ref <= level
     row = int(np.argmax(below))
     return row if row > 0 and below[row] else None
+
+
+def _counts_for(time_s: Array, reference: Array) -> float:
+    """Time in rows that count, s."""
+    return float(np.diff(time_s, append=time_s[-1])[np.isfinite(reference)].sum())
+
+
+def _padded(signals: Signals) -> tuple[Signals, int]:
+    """The signals after `PADDED_S` without current at their first voltage and temperature, and the rows this adds."""
+    step_s = float(np.median(np.diff(signals.time_s)))
+    rows = int(np.ceil(PADDED_S / step_s))
+    known = np.flatnonzero(np.isfinite(signals.voltage_V))
+    first_V = signals.voltage_V[known[0]] if known.size else np.nan
+    before = (
+        signals.time_s[0] - step_s * np.arange(rows, 0, -1),
+        np.zeros(rows),
+        np.full(rows, first_V),
+        np.full(rows, signals.temperature_degC[0]),
+    )
+    after = (signals.time_s, signals.current_A, signals.voltage_V, signals.temperature_degC)
+    return Signals(*(np.concatenate(pair) for pair in zip(before, after, strict=True))), rows

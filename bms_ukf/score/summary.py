@@ -7,11 +7,15 @@
 | `missing` | what of the benchmark they do not fill; an initial SoC needs a drive that comes by it |
 | `offsets_c_rate` | each current offset, A, as a share of the capacity per hour |
 | `estimators` | by name (`srukf`: ours, `ekf`, `coulomb`), see below |
+| `step_s` | between the rows that were scored; null: rows as recorded |
+| `health` | whether ours learned the capacity on the way |
 | `outcomes` | every run: `estimator, recording, role, group, temperature_degC, use, kind, value, case`, and `figures` |
 
 An estimator has `weighted_rmse_pct`; `groups` and `temperatures` (by degC), each with `rmse_pct, mae_pct, max_pct,
-coverage95, settled_s` (`weights.figures`); and `fitted`: nominal figures of the recordings the cell file was fitted to,
-None if there are none, which count for nothing else. `figures` are those of `metrics.score`. Errors are in % SoC.
+coverage95, half_width_pct, settled_s` (`weights.figures`); `variants`, the same for each temperature and case, with
+`temperature_degC`, `case` and `recordings` (how many); and `fitted`, nominal figures of the recordings the cell file
+was fitted to, which count for nothing else (None if there are none). `figures` are those of `metrics.score`. Errors
+are in % SoC.
 """
 
 from __future__ import annotations
@@ -57,6 +61,10 @@ def _estimator(outcomes: Sequence[Outcome]) -> dict[str, Any]:
             f"{degree:g}": weights.figures("", [o for o in grouped["nominal"] if o.temperature_degC == degree])
             for degree in degrees
         },
+        "variants": [
+            {**variant._asdict(), "recordings": len(found), **weights.figures("", found)}
+            for variant, found in weights.variants(outcomes).items()
+        ],
         "fitted": weights.figures("", fitted) if fitted else None,
     }
 

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from bms_ukf import honesty
 from bms_ukf.score import cases
 
 SHOWN = {"srukf": "bms-ukf", "ekf": "EKF", "coulomb": "coulomb"}
 NONE = "–"
+HALF_WIDTH_AT_MOST = 3.0  # times the RMSE: a wider interval is honest, and says little
 
 
 class Table(NamedTuple):
     title: str
     header: list[str]
     rows: list[list[str]]
+
+
+def every(summary: dict[str, Any]) -> list[Table]:
+    """The tables of a score, the most condensed first."""
+    return [groups(summary), temperatures(summary), recordings(summary), variants(summary)]
 
 
 def groups(summary: dict[str, Any]) -> Table:
@@ -52,6 +59,34 @@ def recordings(summary: dict[str, Any]) -> Table:
     return Table("RMSE by recording, nominal, % SoC", ["recording", *_names(summary), *_DETAIL], rows)
 
 
+def variants(summary: dict[str, Any]) -> Table:
+    """RMSE of every estimator for each temperature and case, and how honest and how sharp our interval is."""
+    estimators, rates = summary["estimators"], summary["offsets_c_rate"]
+    rows = []
+    for found in zip(*(estimator["variants"] for estimator in estimators.values()), strict=True):
+        ours, case = found[0], found[0]["case"]
+        kind, _, value = case.partition(" ")
+        rate = f" ({rates[value.removesuffix(' A')]:+.2f} C)" if kind == cases.OFFSET else ""
+        rows.append(
+            [
+                f"{ours['temperature_degC']:g} °C, {case}{rate}",
+                *(_number(other["rmse_pct"]) for other in found),
+                f"{100 * ours['coverage95']:.1f} %" + ("" if _is_honest(ours) else " !"),
+                _number(ours["half_width_pct"]) + ("" if _is_sharp(ours) else " !"),
+            ]
+        )
+    header = ["temperature, case", *_names(summary), "inside", "half-width"]
+    return Table("RMSE, share inside the 95 % interval and its median half-width, % SoC", header, rows)
+
+
+def _is_honest(figures: dict[str, Any]) -> bool:
+    return bool(figures["coverage95"] >= honesty.INSIDE_AT_LEAST)
+
+
+def _is_sharp(figures: dict[str, Any]) -> bool:
+    return bool(figures["half_width_pct"] <= HALF_WIDTH_AT_MOST * figures["rmse_pct"])
+
+
 def runs(summary: dict[str, Any], estimator: str) -> Table:
     """Every run of one estimator: recordings down, cases across. Start-up counts from 600 s on."""
     found: dict[str, dict[str, float | None]] = {}
@@ -70,7 +105,13 @@ def runs(summary: dict[str, Any], estimator: str) -> Table:
 def notes(summary: dict[str, Any]) -> list[str]:
     """What there is to know beside the tables."""
     offsets = ", ".join(f"{offset} A is {rate:+.3f} C" for offset, rate in summary["offsets_c_rate"].items())
+    groups, step_s = _ours(summary)["variants"], summary["step_s"]
     return [
+        f"Of {len(groups)} groups of temperature and case {sum(map(_is_honest, groups))} have at least"
+        f" {100 * honesty.INSIDE_AT_LEAST:g} % inside, and {sum(map(_is_sharp, groups))} a median half-width of at most"
+        f" {HALF_WIDTH_AT_MOST:g} times the RMSE. The others are marked with an exclamation mark.",
+        f"Rows: {'as recorded' if step_s is None else f'one each {step_s:g} s'}."
+        f" Capacity: {'learned on the way' if summary['health'] else 'that of the cell file'}.",
         f"Offsets: {offsets}.",
         f"Not filled: {', '.join(summary['missing'])}.",
         "Where the reference was counted from the same current, coulomb counting is right until an error is added.",

@@ -12,7 +12,7 @@ from bms_ukf.score import tables
 
 def show(summary: dict[str, Any], console: Console) -> None:
     """Print the tables of a score. MAE, max, band and settling time are those of the first estimator, ours."""
-    for found in (tables.groups(summary), tables.temperatures(summary), tables.recordings(summary)):
+    for found in tables.every(summary):
         table = Table(title=found.title, title_justify="left", title_style="bold", header_style="dim", box=None)
         for column, name in enumerate(found.header):
             table.add_column(name, justify="right" if column else "left", style="bold" if name == "bms-ukf" else "")

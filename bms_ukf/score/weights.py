@@ -1,16 +1,19 @@
 """The benchmark's weights, over the groups that recordings of one cell can fill.
 
 A group's figure is the mean over its recordings of the RMSE, in % SoC; the score is the weighted sum over the groups.
+Of current offsets only those of 0.3 A count.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bms_ukf.score.cases import INITIAL, NOMINAL, OFFSET, STARTUP
+from bms_ukf.score.cases import INITIAL, INITIAL_WEIGHTS, NOMINAL, OFFSET, STARTUP
 
 WEIGHTS = {
     "withheld cell": 0.1,
@@ -63,24 +66,65 @@ def grouped(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
 
 
 def figures(name: str, outcomes: Sequence[Outcome]) -> dict[str, float | None]:
-    """Means over a group's outcomes of `rmse_pct, mae_pct, coverage95, settled_s`, and its largest `max_pct`.
+    """Means over a group's outcomes of `rmse_pct, mae_pct, coverage95, half_width_pct, settled_s`; largest `max_pct`.
 
     A run without any estimate counts as wrong by 100 %: silence must not win. `settled_s` is None if one never settled.
+    Of wrong starts, the mean at each cut is weighed as the benchmark does (`INITIAL_WEIGHTS`), over the cuts there are.
+    Start-up runs count from 600 s on.
     """
-    late = name.startswith("start-up")
-    seen = [outcome.figures["after_600s"] if late else outcome.figures for outcome in outcomes]
+    shares = _shares(outcomes)
+
+    def mean(values: list[float]) -> float:
+        return float(np.dot(shares, values))
+
+    seen = [outcome.figures["after_600s"] if outcome.kind == STARTUP else outcome.figures for outcome in outcomes]
     settled = [outcome.figures["settled_s"] for outcome in outcomes]
     rmse = [_or(found["rmse_pct"], 100.0) for found in seen]
     if name == "temperatures":
         degrees = np.array([outcome.temperature_degC for outcome in outcomes])
-        rmse = [float(np.mean(np.array(rmse)[degrees == degree])) for degree in np.unique(degrees)]
+        rmse_pct = float(np.mean([np.mean(np.array(rmse)[degrees == degree]) for degree in np.unique(degrees)]))
+    else:
+        rmse_pct = mean(rmse)
     return {
-        "rmse_pct": float(np.mean(rmse)),
-        "mae_pct": float(np.mean([_or(found["mae_pct"], 100.0) for found in seen])),
+        "rmse_pct": rmse_pct,
+        "mae_pct": mean([_or(found["mae_pct"], 100.0) for found in seen]),
         "max_pct": max(_or(found["max_pct"], 100.0) for found in seen),
-        "coverage95": float(np.mean([_or(found["coverage95"], 0.0) for found in seen])),
-        "settled_s": None if None in settled else float(np.mean(settled)),
+        "coverage95": mean([_or(found["coverage95"], 0.0) for found in seen]),
+        "half_width_pct": mean([_or(found["half_width_pct"], 50.0) for found in seen]),
+        "settled_s": None if None in settled else mean(settled),
     }
+
+
+def _shares(outcomes: Sequence[Outcome]) -> NDArray[np.float64]:
+    """The weight of each outcome in the means of its group; their sum is 1."""
+    cuts = Counter(outcome.value for outcome in outcomes if outcome.kind == INITIAL)
+    weight = [
+        INITIAL_WEIGHTS[outcome.value] / cuts[outcome.value] if outcome.kind == INITIAL else 1.0 for outcome in outcomes
+    ]
+    return np.array(weight) / sum(weight)
+
+
+class Variant(NamedTuple):
+    """What `score` tells apart by temperature and case: the smallest group whose interval is judged."""
+
+    temperature_degC: float
+    case: str
+
+
+def variants(outcomes: Sequence[Outcome]) -> dict[Variant, list[Outcome]]:
+    """Outcomes of one estimator on recordings that were not fitted: warmest first, cases in the order of the grid."""
+    found: dict[Variant, list[Outcome]] = {}
+    for outcome in outcomes:
+        if outcome.use == "validate":
+            found.setdefault(Variant(outcome.temperature_degC, outcome.case), []).append(outcome)
+    order = (NOMINAL, OFFSET, INITIAL, STARTUP)
+
+    def place(variant: Variant) -> tuple[float, int, float]:
+        first = found[variant][0]
+        value = first.value if first.kind == OFFSET else -first.value
+        return -variant.temperature_degC, order.index(first.kind), value
+
+    return {variant: found[variant] for variant in sorted(found, key=place)}
 
 
 def normalised(groups: Sequence[str]) -> dict[str, float]:
