@@ -62,7 +62,7 @@ SOC_GATES_PCT = {
     "a123_lfp": {45: 2.5, 25: 2.0, 5: 3.0, -15: 4.0},
 }
 # After a wrong start. The hour before the cut holds the voltage under the load at the cut, which looks like a rest at a
-# SoC far too low, most in the cold. The Panasonic cell's drives hardly ever stand still: ours errs by 18 %, the EKF 11 %.
+# SoC far too low, most in the cold. The Panasonic drives hardly ever stand still: ours errs by 18 %, the EKF by 11 %.
 INITIAL_GATES_PCT = {"panasonic_ncr18650pf": 18.5, "a123_lfp": 8.0}
 
 
