@@ -11,8 +11,10 @@ are fitted to the table's currents, the RC pairs are means over them.
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import tomllib
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import toml
+from bms_ukf import plausible, toml
 from bms_ukf.cell import NO_KNEE_A, CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.identify import cellfile
@@ -31,6 +33,7 @@ Array = NDArray[np.float64]
 OVER = ("Temperature [degC]", "Current [A]", "SoC")
 REFERENCE_DEGC = 25.0  # of the OCV
 MOST_PAIRS = 3
+LEAST_AND_MOST = {"R": (1e-9, 1e3), "C": (1e-6, 1e12)}  # Ohm, F: within them, no product over- or underflows
 # Assumed: nobody measured how far published tables are from the cell at hand.
 VOLTAGE_SIGMA_V, PAIR_SIGMA_V, R0_SIGMA, RC_SIGMA = 0.005, 0.02, 0.2, 0.3
 
@@ -71,7 +74,7 @@ def import_cell(
         expected = f"a table for each of {', '.join(needed)} (1 to {MOST_PAIRS} RC pairs); found {held}"
         raise ConfigError(sources[0], key=missing[0] if missing else f"R{pairs}", expected=expected)
     soc, ocv_V = _ocv(tables["OCV"])
-    dynamics, deviation, currents_A = _dynamics(tables, pairs)
+    dynamics, deviation, currents_A = _dynamics(tables, pairs, capacity_Ah)
     low, high = voltage_limits_V or (float(ocv_V[0]), float(ocv_V[-1]))
     ocv: dict[str, Any] = {"temperature_degC": [REFERENCE_DEGC], "soc": soc, "voltage_V": ocv_V[None].round(5)}
     if "dUdT" in tables:
@@ -116,15 +119,26 @@ def _files(sources: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for source in sources:
         if source.suffix == ".json":
-            expected = (
-                "ECM tables as CSV: a BPX file has no resistances of a circuit. Give it to `bms-ukf identify` as a test"
-                " of role 'ocv_table', with pulse or drive tests for the rest"
-            )
-            raise ConfigError(source, expected=expected)
+            _refuse_json(source)
         files += sorted(source.glob("*.csv")) if source.is_dir() else [source]
     if not files or any(path.suffix != ".csv" for path in files):
         raise ConfigError(sources[0], expected="CSV files of ECM tables, or a folder with some")
     return files
+
+
+def _refuse_json(source: Path) -> None:
+    """Raise ConfigError: no JSON is read, and a BPX file is wanted elsewhere."""
+    try:
+        found = json.loads(source.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        found = None
+    expected = "ECM tables as CSV, no JSON"
+    if isinstance(found, dict) and "Parameterisation" in found:
+        expected = (
+            "ECM tables as CSV: a BPX file has no resistances of a circuit. Give it to `bms-ukf identify` as a test"
+            " of role 'ocv_table', with pulse or drive tests for the rest"
+        )
+    raise ConfigError(source, expected=expected)
 
 
 def _header(path: Path) -> list[str]:
@@ -134,25 +148,53 @@ def _header(path: Path) -> list[str]:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(path, expected=f"a readable CSV file ({error})") from None
     header = [title.strip() for title in first.lstrip("# ").strip().split(",")]
-    if not re.fullmatch(r"(R\d|C\d|OCV|dUdT) \[(Ohm|F|V|V/K)\]", header[-1]):
+    if not re.fullmatch(r"R\d \[Ohm\]|C\d \[F\]|OCV \[V\]|dUdT \[V/K\]", header[-1]):
         expected = "'R0 [Ohm]', 'R1 [Ohm]', 'C1 [F]' .., 'OCV [V]' or 'dUdT [V/K]' in the last column"
         raise ConfigError(path, key="header", value=header[-1], expected=expected)
     return header
 
 
 def _load(path: Path, over: Sequence[str]) -> tuple[list[str], Array]:
-    """Titles of the columns before the last, which must be of `over`, and all numbers."""
+    """Titles of the columns before the last, which must be of `over`, and all numbers, in the units of the titles."""
     header = _header(path)
-    unknown = [title for title in header[:-1] if title not in over]
+    titles, of = header[:-1], header[-1]
+    unknown = [title for title in titles if title not in over or titles.count(title) > 1]
     if unknown:
-        raise ConfigError(path, key="header", value=unknown[0], expected=f"columns of {', '.join(over)}")
+        raise ConfigError(path, key="header", value=unknown[0], expected=f"columns of {', '.join(over)}, each once")
+    if not titles:
+        raise ConfigError(path, key="header", value=of, expected=f"before it a column of {', '.join(over)}, at least")
     try:
-        numbers = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, comments=None)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that there are no rows
+            numbers = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, comments=None)
     except ValueError as error:
         raise ConfigError(path, expected=f"numbers below the header ({error})") from None
-    if numbers.shape[1] != len(header) or not np.isfinite(numbers).all():
-        raise ConfigError(path, expected=f"{len(header)} finite numbers in every row")
-    return header[:-1], numbers
+    if not numbers.size or numbers.shape[1] != len(header) or not np.isfinite(numbers).all():
+        raise ConfigError(path, expected=f"rows below the header, with {len(header)} finite numbers in each")
+    for title, column in zip(header, numbers.T, strict=True):
+        _require_unit(path, title, column)
+    return titles, numbers
+
+
+def _require_unit(path: Path, title: str, column: Array) -> None:
+    """Raise ConfigError if a column holds what its title's unit rules out, whatever the cell's size."""
+    if title == "SoC" and column.max() > plausible.MOST_SOC:
+        raise ConfigError(path, key=title, value=float(column.max()), expected="fractions of 1: is it in percent?")
+    if title == "Temperature [degC]" and column.min() > plausible.HOTTEST_DEGC:
+        raise ConfigError(path, key=title, value=float(column.min()), expected="degC: is it in K?")
+    if title == "OCV [V]":
+        _require(path, title, float(np.median(column)), plausible.VOLTAGE_V)
+    if title[1].isdigit():  # a resistance or a capacitance
+        least, most = LEAST_AND_MOST[title[0]]
+        wrong = column[~((column >= least) & (column <= most))]
+        if wrong.size:
+            raise ConfigError(path, key=title, value=float(wrong[0]), expected=f"{least:g} to {most:g} in every row")
+
+
+def _require(path: Path, key: str, value: float, span: plausible.Range, of: str = "") -> None:
+    doubt = span.doubt(value, of)
+    if doubt:
+        raise ConfigError(path, key=key, value=float(f"{value:.4g}"), expected=doubt)
 
 
 def _table(path: Path, over: Sequence[str] = OVER) -> Table:
@@ -176,6 +218,8 @@ def _ocv(path: Path) -> tuple[Array, Array]:
     soc, voltage_V = numbers[np.argsort(numbers[:, 0])].T
     if soc[0] > 1e-6 or soc[-1] < 1 - 1e-6:
         raise ConfigError(path, key="SoC", value=f"{soc[0]:g} to {soc[-1]:g}", expected="fractions that cover 0..1")
+    if np.ptp(voltage_V) == 0:
+        raise ConfigError(path, key="OCV [V]", value=float(voltage_V[0]), expected="a voltage that rises with SoC")
     inner = soc[(soc > 1e-6) & (soc < 1 - 1e-6)]
     knots = np.concatenate([[0.0], inner, [1.0]])
     return knots.round(6), np.interp(knots, soc, voltage_V)
@@ -188,12 +232,20 @@ def _entropic(path: Path, ocv_V: Array) -> Array:
     return np.asarray(np.interp(ocv_V, table.axes[0], at_reference))
 
 
-def _dynamics(tables: dict[str, Path], pairs: int) -> tuple[dict[str, Any], dict[str, float], Array]:
+def _dynamics(
+    tables: dict[str, Path], pairs: int, capacity_Ah: float
+) -> tuple[dict[str, Any], dict[str, float], Array]:
     """The [dynamics], how far they are from the tables (relative, rms over currents), and the currents of r0."""
     r0 = _table(tables["R0"])
     temperatures, currents_A, soc = r0.axes
     if not (soc[0] <= 1e-6 and soc[-1] >= 1 - 1e-6):
         raise ConfigError(r0.path, key="SoC", value=f"{soc[0]:g} to {soc[-1]:g}", expected="fractions that cover 0..1")
+    of_cell = f" for {capacity_Ah:g} Ah (--capacity)"
+    resistances = plausible.DROP_AT_1C_V.times(1 / capacity_Ah)
+    _require(r0.path, "R0 [Ohm]", float(np.median(r0.values)), resistances, of_cell)
+    largest_A = float(np.abs(currents_A).max())
+    if currents_A.size > 1:
+        _require(r0.path, "Current [A]", largest_A, plausible.RATE_PER_H.times(capacity_Ah), of_cell)
     discharge, charge, knee_A = _knee(r0)
     sections: dict[str, Any] = {"soc": soc.round(6), "temperature_degC": [float(T) for T in temperatures]}
     sections["r0_ohm"] = cellfile.figures(discharge)
@@ -211,6 +263,8 @@ def _dynamics(tables: dict[str, Path], pairs: int) -> tuple[dict[str, Any], dict
             if not all(map(np.array_equal, table.axes, r0.axes)):
                 expected = f"the same temperatures, currents and SoC as {r0.path.name}"
                 raise ConfigError(table.path, key="rows", value=len(table.values.ravel()), expected=expected)
+        smaller = resistances._replace(low=resistances.low / 100)
+        _require(r.path, f"R{j} [Ohm]", float(np.median(r.values)), smaller, of_cell)
         mean = r.values.mean(axis=1)
         found.append((mean, (r.values * c.values).mean(axis=1), _rms(mean[:, None] / r.values - 1)))
     for j, (mean, tau_s, off) in enumerate(sorted(found, key=lambda pair: float(np.median(pair[1]))), start=1):

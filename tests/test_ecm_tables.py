@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import re
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bms_ukf import CellParams, Estimator, Sample
 from bms_ukf.cli import main
@@ -30,7 +34,10 @@ def grid(path: Path, title: str, value: Callable[[float, float, float], float]) 
 
 @pytest.fixture
 def tables(tmp_path: Path) -> Path:
-    folder = tmp_path / "ecm"
+    return written(tmp_path / "ecm")
+
+
+def written(folder: Path) -> Path:
     folder.mkdir()
     grid(folder / "r0.csv", "R0 [Ohm]", r0_ohm)
     grid(folder / "slow_r.csv", "R1 [Ohm]", lambda T, i, s: 1e-3)
@@ -106,6 +113,114 @@ def test_a_mistake_is_one_line_that_names_it(tables: Path, file: str, old: str, 
     assert "\n" not in str(error.value)
 
 
+GRIDS = ("r0.csv", "slow_r.csv", "slow_c.csv", "fast_r.csv", "fast_c.csv")
+
+
+def rescaled(folder: Path, files: Sequence[str], title: str, factor: float, offset: float = 0.0) -> None:
+    """The same tables as someone would write them who took a column's unit for another."""
+    for file in files:
+        header, *rows = (folder / file).read_text().splitlines()
+        column = [name.strip("# ") for name in header.split(",")].index(title)
+        cells = [row.split(",") for row in rows]
+        for row in cells:
+            row[column] = repr(factor * float(row[column]) + offset)
+        (folder / file).write_text("\n".join([header, *map(",".join, cells)]))
+
+
+@pytest.mark.parametrize(
+    ("files", "title", "factor", "offset", "named"),
+    [
+        (["r0.csv"], "R0 [Ohm]", 1e3, 0.0, "expected 7.5e-05 to 0.4 Ohm for 20 Ah (--capacity): is it in mOhm?"),
+        (["r0.csv"], "R0 [Ohm]", 1e6, 0.0, "expected 1e-09 to 1000 in every row"),
+        (["r0.csv"], "R0 [Ohm]", 1e-3, 0.0, "is it in kOhm"),
+        (["r0.csv"], "R0 [Ohm]", -1.0, 0.0, "r0.csv: R0 [Ohm] is -"),
+        (["r0.csv"], "R0 [Ohm]", 0.0, 0.0, "r0.csv: R0 [Ohm] is 0.0"),
+        (["slow_r.csv"], "R1 [Ohm]", 1e3, 0.0, "slow_r.csv: R1 [Ohm] is 1.0"),
+        (["slow_r.csv"], "R1 [Ohm]", -1.0, 0.0, "slow_r.csv: R1 [Ohm] is -0.001"),
+        (["fast_c.csv"], "C2 [F]", -1.0, 0.0, "fast_c.csv: C2 [F] is -20000.0"),
+        (GRIDS, "Current [A]", 1e3, 0.0, "Current [A] is 40000.0"),
+        (GRIDS, "Temperature [degC]", 1.0, 273.15, "Temperature [degC] is 273.15; expected degC: is it in K"),
+        (GRIDS, "SoC", 100.0, 0.0, "SoC is 100.0; expected fractions of 1: is it in percent"),
+        (["ocv.csv"], "SoC", 100.0, 0.0, "ocv.csv: SoC is 105.0; expected fractions of 1: is it in percent"),
+        (["ocv.csv"], "OCV [V]", 1e3, 0.0, "ocv.csv: OCV [V] is 3700.0; expected 1 to 5 V: is it in mV"),
+        (["ocv.csv"], "OCV [V]", 0.0, 3.7, "a voltage that rises with SoC"),
+        (["dudt.csv"], "OCV [V]", 1e3, 0.0, "dudt.csv: OCV [V] is 3600.0"),
+    ],
+)  # fmt: skip
+def test_a_wrong_unit_or_sign_is_named_with_its_evidence(
+    tables: Path, files: Sequence[str], title: str, factor: float, offset: float, named: str
+) -> None:
+    rescaled(tables, files, title, factor, offset)
+    with pytest.raises(ConfigError) as error:
+        import_cell([tables], name="x", chemistry="NMC", capacity_Ah=20.0)
+    assert named in str(error.value)
+    assert "nan" not in str(error.value)
+
+
+def test_a_capacity_in_milliampere_hours_shows_in_the_resistance(tables: Path) -> None:
+    rescaled(tables, ["r0.csv"], "R0 [Ohm]", 25.0)
+    with pytest.raises(ConfigError, match=r"R0 \[Ohm\] .* for 1900 Ah \(--capacity\)"):
+        import_cell([tables], name="x", chemistry="NMC", capacity_Ah=1900.0)
+
+
+@pytest.mark.parametrize("file", [*GRIDS, "ocv.csv", "dudt.csv"])
+@pytest.mark.parametrize("kept", [[-1], [0, -1], [0, 0, -1], []])
+@pytest.mark.parametrize("rows", [0, 1, 2, None])
+def test_a_table_of_few_columns_or_rows_is_imported_or_one_line(
+    tables: Path, file: str, kept: list[int], rows: int | None
+) -> None:
+    lines = (tables / file).read_text().splitlines()
+    cells = [line.split(",") for line in lines[: None if rows is None else rows + 1]]
+    (tables / file).write_text("\n".join(",".join(row[k] for k in kept) for row in cells))
+    imported_or_one_line(tables)
+
+
+@given(
+    file=st.sampled_from([*GRIDS, "ocv.csv", "dudt.csv"]),
+    row=st.integers(0, 12),
+    column=st.integers(0, 3),
+    cell=st.sampled_from(["", "nan", "inf", "-1", "0", "1e300", "1e-300", "x", "1,5", ";", '"1"', "True", "\x00"]),
+)
+def test_a_cell_of_a_table_that_holds_anything_is_imported_or_one_line(
+    file: str, row: int, column: int, cell: str
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        tables = written(Path(folder) / "ecm")
+        lines = (tables / file).read_text().splitlines()
+        cells = lines[row % len(lines)].split(",")
+        cells[column % len(cells)] = cell
+        lines[row % len(lines)] = ",".join(cells)
+        (tables / file).write_text("\n".join(lines))
+        imported_or_one_line(tables)
+
+
+def imported_or_one_line(tables: Path) -> None:
+    """Warnings are errors: a number that is none on the way shows, too."""
+    try:
+        text = import_cell([tables], name="x", chemistry="NMC", capacity_Ah=20.0)
+    except ConfigError as error:
+        line = str(error)
+        assert "\n" not in line
+        assert not re.search(r"\bnan\b", line.replace("'nan'", ""))
+    else:
+        assert not re.search(r"\b(nan|inf)\b", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('{"Parameterisation": {}}', "ocv_table"),
+        ('{"R0": [0.001], "Capacity": 5}', "as CSV, no JSON"),
+        ("[" * 100_000, "as CSV, no JSON"),
+        ("no json", "as CSV, no JSON"),
+    ],
+)
+def test_json_is_refused_by_what_it_is(tmp_path: Path, text: str, named: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ConfigError, match=named):
+        import_cell([tmp_path / "a.json"], name="x", chemistry="NMC", capacity_Ah=20.0)
+
+
 def test_the_command_writes_the_cell_and_refuses_bpx(
     tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -115,7 +230,9 @@ def test_the_command_writes_the_cell_and_refuses_bpx(
         main()
     assert stop.value.code == 0
     assert CellParams.load(out).cell.name == "made"
-    monkeypatch.setattr("sys.argv", ["bms-ukf", "import", "a.json", "--out", str(out), "--capacity", "20"])
+    bpx = tmp_path / "a.json"
+    bpx.write_text('{"Parameterisation": {}}')
+    monkeypatch.setattr("sys.argv", ["bms-ukf", "import", str(bpx), "--out", str(out), "--capacity", "20"])
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2
