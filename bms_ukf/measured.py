@@ -8,11 +8,13 @@ import numpy as np
 
 from bms_ukf import manifest
 from bms_ukf.manifest import Manifest, MeasuredTest
-from bms_ukf.recordings import Recording, Selection, estimate_voltage_lag_s, read, require_sign
+from bms_ukf.recordings import Recording, Selection, estimate_voltage_lag_s, read, require_sign, require_units
 
 
-def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
+def load(path: Path, tests: Manifest, test: MeasuredTest, *, force: bool = False) -> Recording:
     """A test of the manifest at `path`. Raises ConfigError for a file that cannot be used.
+
+    One whose numbers do not fit the manifest's cell is refused, too, but with `force`.
 
     It begins with the load: hours of soak are neither to be fitted nor to be scored as hours without an error.
     """
@@ -25,6 +27,8 @@ def load(path: Path, tests: Manifest, test: MeasuredTest) -> Recording:
         selection=Selection(test.columns.named(), test.where),
         restarts=test.initial_soc == "rest",
     )
+    if not force:
+        require_units(recording, tests.voltage_limits_V, tests.capacity_Ah)
     require_sign(recording, sign)
     lag_s = estimate_voltage_lag_s(recording) if test.voltage_lag_s == "estimate" else test.voltage_lag_s
     if lag_s:

@@ -74,6 +74,7 @@ def identify_(manifest: Path, out: Path, report: Path | None) -> None:
 @click.option("--soc-ref-sigma", type=click.FloatRange(0, 0.5), default=0.0, help="Of the file's own reference.")
 @click.option("--estimator", type=click.Choice(["srukf", "ekf", "coulomb"]), default="srukf", show_default=True)
 @click.option("--health/--no-health", default=True, help="Tell capacity from use, and count SoC by it.  [--health]")
+@click.option("--force", is_flag=True, help="Run recordings whose numbers do not fit the cell, too.")
 @click.option("--out", type=PATH, help="Write the estimates here, as CSV.")
 @click.option("--json", "json_path", type=PATH, help="Write the summary here.")
 @click.option("--report", type=PATH, help="Write a page with plots here.")
@@ -120,6 +121,7 @@ def replay_(
 @click.option("--resample", "resample_s", type=click.FloatRange(0, min_open=True), help="Rows so far apart, s.  [1]")
 @click.option("--native", is_flag=True, help="Rows as recorded, instead of --resample.")
 @click.option("--health/--no-health", default=True, help="Tell capacity from use, and count SoC by it.  [--health]")
+@click.option("--force", is_flag=True, help="Run recordings whose numbers do not fit the cell, too.")
 @click.option("--gate", "gates", multiple=True, metavar="NAME=LIMIT", help="Exit 1 above it: weighted_rmse_pct=2.5")
 @click.option("--json", "json_path", type=PATH, callback=writable, help="Write all figures here.")
 @click.option("--report", type=PATH, help="Write a page with plots here, or plots and page into this folder.")
@@ -131,6 +133,7 @@ def score_(
     resample_s: float | None,
     native: bool,
     health: bool,
+    force: bool,
     gates: tuple[str, ...],
     json_path: Path | None,
     report: Path | None,
@@ -150,7 +153,7 @@ def score_(
         raise ConfigError("--native", expected="no --resample beside it")
     if (cell is None) != leave_one_out:
         raise ConfigError("--cell", value=cell, expected="either --cell or --leave-one-out")
-    grid = Grid(estimators or tuple(ESTIMATORS), None if native else resample_s or STEP_S, health)
+    grid = Grid(estimators or tuple(ESTIMATORS), None if native else resample_s or STEP_S, health, force)
     with Console(stderr=True).status("score") as status:
         if cell is None:
             found = leaveoneout.score(manifest, grid, progress=status.update)

@@ -10,7 +10,7 @@ from bms_ukf import bpx, manifest
 from bms_ukf.errors import ConfigError
 from bms_ukf.identify import ocv
 from bms_ukf.manifest import MeasuredTest
-from bms_ukf.recordings import Selection, read_columns
+from bms_ukf.recordings import Selection, read_columns, require_voltage
 
 REQUIRED = ("soc_ref", "voltage_V")
 FEWEST_ROWS = 8
@@ -28,6 +28,7 @@ def load(path: Path, test: MeasuredTest) -> tuple[ocv.Curve, list[str]]:
     else:
         found = read_columns(file, Selection(test.columns.named(), test.where), REQUIRED)
     soc, voltage_V = (found[key] for key in REQUIRED)
+    require_voltage(file.name, voltage_V)
     half_V = found.get("hysteresis_V")
     known = np.isfinite(soc) & np.isfinite(voltage_V) & (True if half_V is None else np.isfinite(half_V))
     warnings = []

@@ -4,6 +4,7 @@ from bms_ukf.recordings.checks import estimate_voltage_lag_s, require_sign
 from bms_ukf.recordings.columns import Selection, read_columns
 from bms_ukf.recordings.recording import Recording, Sign, read
 from bms_ukf.recordings.resample import resample
+from bms_ukf.recordings.units import require_units, require_voltage
 
 __all__ = [
     "Recording",
@@ -13,5 +14,7 @@ __all__ = [
     "read",
     "read_columns",
     "require_sign",
+    "require_units",
+    "require_voltage",
     "resample",
 ]

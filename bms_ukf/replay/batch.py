@@ -115,7 +115,7 @@ def _runner(job: Job) -> Callable[[CellParams | None], tuple[Trace, dict[str, An
         return lambda cell: flight.rerun(job.recording, cell)
     if job.cell is None:
         raise ConfigError("--cell", expected=f"a cell file, or the name of a shipped one, for {job.recording}")
-    recording, given = rerun.load(job.recording, job.options), job.cell
+    recording, given = rerun.load(job.recording, job.options, job.cell), job.cell
     return lambda cell: rerun.rerun(recording, cell or given, job.options, job.tuning)
 
 

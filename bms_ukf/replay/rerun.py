@@ -28,7 +28,7 @@ from bms_ukf.offline.estimators import followed, prepare
 from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.offline.start import begins_at_rest
 from bms_ukf.pack import Health
-from bms_ukf.recordings import Recording, Sign, read, require_sign, resample
+from bms_ukf.recordings import Recording, Sign, read, require_sign, require_units, resample
 from bms_ukf.replay.ageing import ageing
 from bms_ukf.trace import Trace
 from bms_ukf.tuning import Tuning
@@ -57,13 +57,20 @@ class Options:
     soc_ref_sigma: float = 0.0
     estimator: str = "srukf"
     health: bool = True  # of srukf; see `pack.Health`
+    force: bool = False  # run a recording that does not fit the cell
 
 
-def load(path: Path, options: Options) -> Recording:
-    """The recording at `path`, its sign checked, lag removed, resampled. Raises ConfigError."""
+def load(path: Path, options: Options, cell: CellParams | None = None) -> Recording:
+    """The recording at `path`, its sign checked, lag removed, resampled. Raises ConfigError.
+
+    One whose numbers do not fit `cell` is refused, too, but with `options.force`.
+    """
     if options.current_positive is None:
         raise ConfigError("--current-positive", expected=f"charge or discharge, for {path}")
     recording = read(path, current_positive=options.current_positive, temperature_degC=options.temperature_degC)
+    if cell is not None and not options.force:
+        limits = cell.cell
+        require_units(recording, limits.voltage_limits_V, limits.capacity_Ah, hint=" (--force runs it)")
     require_sign(recording, options.current_positive)
     if options.voltage_lag_s:
         recording = recording.with_voltage_lag(options.voltage_lag_s)

@@ -83,7 +83,7 @@ class Run:
         runners = {name: self._runner(name, cell) for name in self._grid.estimators}
         for test in scored:
             progress(f"scoring {Path(test.file).name}")
-            recording = measured.load(self._path, self._tests, test)
+            recording = measured.load(self._path, self._tests, test, force=self._grid.force)
             if test.use == "fit" and recording.soc_ref is None:
                 continue
             name = recording.name if self._files[Path(test.file).name] == 1 else test.file
