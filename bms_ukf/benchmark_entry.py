@@ -5,7 +5,7 @@ The benchmark calls a function once a sample, at 1 Hz, with the state it returne
     soc, z = Model(X, z)        X = [current in A, positive = charge; voltage in V; temperature in degC]
 
 `package` writes a folder with such a `Model.py`, the cell file and this package's source beside it: what remains to be
-installed is in its `requirements.txt`.
+installed is in its `requirements.txt`. Its `README.md` says how to call it, and what a step costs.
 """
 
 from __future__ import annotations
@@ -52,6 +52,27 @@ from bms_ukf.benchmark_entry import Model as Entry
 Model = Entry(Path(__file__).parent / "cell.toml")
 '''
 
+# Instructions of a step on a Cortex-M7 in float32; `tests/test_pil.py` holds them against what it measures.
+STEP_INSTRUCTIONS = {"usual": 4_200, "wide": 131_000, "first": 650_000}
+README = """# {name}, by bms-ukf
+
+    soc, z = Model(X, z)
+
+once a second; X is current in A (positive = charge), voltage in V and temperature in degC; z is None at first. Install
+`requirements.txt`; the first call compiles for half a minute.
+
+## Cost of a step
+
+As `bms-ukf export firmware` compiles the same filter for a Cortex-M7 (float32, cell lgm50_chen2020, two RC pairs), in
+instructions that QEMU counts over a WLTC drive (`pytest -s tests/test_pil.py` in the source of bms-ukf):
+
+| step | instructions |
+|---|---|
+| usual: one Gaussian holds the belief | {usual} |
+| while the belief is wide (after a start, a gap or refused voltages): 24 Gaussians | {wide} |
+| the first voltage, once | {first} |
+"""
+
 
 class Model:
     """The benchmark's entry for one cell file. Several recordings may be run at a time, each with its own state."""
@@ -89,6 +110,8 @@ def package(cell: str, folder: Path) -> Path:
                 shutil.copyfile(home / part, target / part)
         shutil.copyfile(source, folder / "cell.toml")
         (folder / "requirements.txt").write_text(REQUIREMENTS, encoding="utf-8")
+        counts = {step: f"{count:,}".replace(",", " ") for step, count in STEP_INSTRUCTIONS.items()}
+        (folder / "README.md").write_text(README.format(name=name, **counts), encoding="utf-8")
         entry = folder / "Model.py"
         entry.write_text(MODEL.format(name=name), encoding="utf-8")
     except OSError as error:

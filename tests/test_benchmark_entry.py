@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bms_ukf import CellParams, Estimator
-from bms_ukf.benchmark_entry import Model, package
+from bms_ukf.benchmark_entry import STEP_INSTRUCTIONS, Model, package
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +48,10 @@ def test_the_folder_runs_on_its_own(bms_ukf, tmp_path: Path, X: np.ndarray) -> N
     ended = bms_ukf("export", "benchmark", "lgm50_chen2020", "--out", tmp_path / "entry")
     assert ended.code == 0
     assert ended.out.strip().endswith("Model.py")
+    readme = (tmp_path / "entry" / "README.md").read_text()
+    assert "lgm50_chen2020" in readme
+    for count in STEP_INSTRUCTIONS.values():
+        assert f"| {count:,} |".replace(",", " ") in readme
     code = (
         "import json, sys, bms_ukf; from Model import Model\n"
         "z = None\n"

@@ -18,6 +18,7 @@ import pytest
 from embedded import Embedded
 
 from bms_ukf import CellParams, Estimator, Sample, firmware
+from bms_ukf.benchmark_entry import STEP_INSTRUCTIONS
 from bms_ukf.firmware.report import Cost
 from bms_ukf.firmware.targets import TARGETS
 
@@ -194,6 +195,19 @@ def test_a_step_takes_no_longer_than_100_us_at_216_mhz_and_its_limit_where_compo
     assert count[0] == count.max()
     assert usual.max() * CYCLES / CLOCK_HZ < 100e-6
     assert np.sort(parts)[:-1].max() * CYCLES / CLOCK_HZ < PARTS_LIMIT_S[run.target]
+
+
+@pytest.mark.parametrize("run", ["cortex-m7"], indirect=True)
+def test_the_benchmark_entry_states_what_a_step_takes_on_a_cortex_m7(run):
+    count = run.answers["instructions"]
+    by_components = count > USUAL_MAX
+    measured_counts = {
+        "usual": count[~by_components].mean(),
+        "wide": np.median(count[by_components]),
+        "first": count[0],
+    }
+    for step, stated in STEP_INSTRUCTIONS.items():
+        assert measured_counts[step] == pytest.approx(stated, rel=0.1), step
 
 
 def test_the_stack_a_step_takes_is_what_the_report_says(run):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +37,16 @@ def score(
     if not files:
         raise ConfigError(path, key="test", expected='at least one test of role "drive" or "charge"')
     run = Run(path, tests, grid or Grid(), tuning or Tuning())
-    cell: CellParams | None = None
     for number, file in enumerate(files, start=1):
         place = f"file {number} of {len(files)}, without {Path(file).name}"
-        cell = identify_without(path, tests, file, lambda text, place=place: progress(f"{place}: {text}"))  # type: ignore[misc]
-        run.add(whole(tests, file), cell, lambda text, place=place: progress(f"{place}: {text}"))  # type: ignore[misc]
-    assert cell is not None
+        here = partial(_tell, progress, place)
+        cell = identify_without(path, tests, file, here)
+        run.add(whole(tests, file), cell, here)
     return run.score(cell)
+
+
+def _tell(progress: Callable[[str], None], place: str, text: str) -> None:
+    progress(f"{place}: {text}")
 
 
 def whole(tests: Manifest, file: str) -> list[MeasuredTest]:
@@ -65,7 +69,7 @@ def identify_without(path: Path, tests: Manifest, file: str, progress: Callable[
     ]
     with tempfile.TemporaryDirectory() as folder:
         left = Path(folder) / f"{path.stem} without {Path(file).name}"
-        left.write_text(_toml(tests, others), encoding="utf-8")
+        left.write_text(to_toml(tests, others), encoding="utf-8")
         try:
             return identify.run(left, progress).cell
         except ConfigError as error:
@@ -74,7 +78,7 @@ def identify_without(path: Path, tests: Manifest, file: str, progress: Callable[
             raise ConfigError(path, key=error.key, expected=f"{error.expected}, without {file}, too") from None
 
 
-def _toml(tests: Manifest, others: Sequence[MeasuredTest]) -> str:
+def to_toml(tests: Manifest, others: Sequence[MeasuredTest]) -> str:
     """A manifest with the given tests as TOML."""
     head = tests.model_dump(exclude={"test"}, exclude_none=True)
     lines = [f"{key} = {_value(value)}" for key, value in head.items()]
@@ -85,7 +89,7 @@ def _toml(tests: Manifest, others: Sequence[MeasuredTest]) -> str:
 
 
 def _value(value: Any) -> str:
-    """A TOML value. JSON writes strings, numbers and lists of them as TOML does, but not tables."""
+    """A TOML value. JSON writes strings, numbers and lists of them as TOML does, but not tables, nor U+007F."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key)} = {_value(item)}" for key, item in value.items()) + "}"
-    return json.dumps(value)
+        return "{" + ", ".join(f"{_value(key)} = {_value(item)}" for key, item in value.items()) + "}"
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
