@@ -12,39 +12,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import tomllib
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bms_ukf import plausible, toml
+from bms_ukf import ecm_csv, plausible, toml
 from bms_ukf.cell import NO_KNEE_A, CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.identify import cellfile
 
 Array = NDArray[np.float64]
 
-OVER = ("Temperature [degC]", "Current [A]", "SoC")
 REFERENCE_DEGC = 25.0  # of the OCV
 MOST_PAIRS = 3
-LEAST_AND_MOST = {"R": (1e-9, 1e3), "C": (1e-6, 1e12)}  # Ohm, F: within them, no product over- or underflows
 # Assumed: nobody measured how far published tables are from the cell at hand.
 VOLTAGE_SIGMA_V, PAIR_SIGMA_V, R0_SIGMA, RC_SIGMA = 0.005, 0.02, 0.2, 0.3
-
-
-@dataclass(slots=True)
-class Table:
-    """A quantity on a grid: shape (temperatures, currents, SoC), 1 along what it does not depend on."""
-
-    path: Path
-    axes: list[Array]
-    values: Array
 
 
 def import_cell(
@@ -62,7 +48,7 @@ def import_cell(
     files = _files(sources)
     tables: dict[str, Path] = {}
     for path in files:
-        title = _header(path)[-1].split(" [")[0]
+        title = ecm_csv.header(path)[-1].split(" [")[0]
         if title in tables:
             raise ConfigError(path, key=title, expected=f"each quantity once; {tables[title].name} holds it too")
         tables[title] = path
@@ -141,80 +127,9 @@ def _refuse_json(source: Path) -> None:
     raise ConfigError(source, expected=expected)
 
 
-def _header(path: Path) -> list[str]:
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            first = file.readline()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(path, expected=f"a readable CSV file ({error})") from None
-    header = [title.strip() for title in first.lstrip("# ").strip().split(",")]
-    if not re.fullmatch(r"R\d \[Ohm\]|C\d \[F\]|OCV \[V\]|dUdT \[V/K\]", header[-1]):
-        expected = "'R0 [Ohm]', 'R1 [Ohm]', 'C1 [F]' .., 'OCV [V]' or 'dUdT [V/K]' in the last column"
-        raise ConfigError(path, key="header", value=header[-1], expected=expected)
-    return header
-
-
-def _load(path: Path, over: Sequence[str]) -> tuple[list[str], Array]:
-    """Titles of the columns before the last, which must be of `over`, and all numbers, in the units of the titles."""
-    header = _header(path)
-    titles, of = header[:-1], header[-1]
-    unknown = [title for title in titles if title not in over or titles.count(title) > 1]
-    if unknown:
-        raise ConfigError(path, key="header", value=unknown[0], expected=f"columns of {', '.join(over)}, each once")
-    if not titles:
-        raise ConfigError(path, key="header", value=of, expected=f"before it a column of {', '.join(over)}, at least")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that there are no rows
-            numbers = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2, comments=None)
-    except ValueError as error:
-        raise ConfigError(path, expected=f"numbers below the header ({error})") from None
-    if not numbers.size or numbers.shape[1] != len(header) or not np.isfinite(numbers).all():
-        raise ConfigError(path, expected=f"rows below the header, with {len(header)} finite numbers in each")
-    for title, column in zip(header, numbers.T, strict=True):
-        _require_unit(path, title, column)
-    return titles, numbers
-
-
-def _require_unit(path: Path, title: str, column: Array) -> None:
-    """Raise ConfigError if a column holds what its title's unit rules out, whatever the cell's size."""
-    if title == "SoC" and column.max() > plausible.MOST_SOC:
-        raise ConfigError(path, key=title, value=float(column.max()), expected="fractions of 1: is it in percent?")
-    if title == "Temperature [degC]" and column.min() > plausible.HOTTEST_DEGC:
-        raise ConfigError(path, key=title, value=float(column.min()), expected="degC: is it in K?")
-    if title == "OCV [V]":
-        _require(path, title, float(np.median(column)), plausible.VOLTAGE_V)
-    if title[1].isdigit():  # a resistance or a capacitance
-        least, most = LEAST_AND_MOST[title[0]]
-        wrong = column[~((column >= least) & (column <= most))]
-        if wrong.size:
-            raise ConfigError(path, key=title, value=float(wrong[0]), expected=f"{least:g} to {most:g} in every row")
-
-
-def _require(path: Path, key: str, value: float, span: plausible.Range, of: str = "") -> None:
-    doubt = span.doubt(value, of)
-    if doubt:
-        raise ConfigError(path, key=key, value=float(f"{value:.4g}"), expected=doubt)
-
-
-def _table(path: Path, over: Sequence[str] = OVER) -> Table:
-    """A full grid. Raises ConfigError if a combination is missing or given twice."""
-    titles, numbers = _load(path, over)
-    axes = [np.unique(numbers[:, titles.index(t)]) if t in titles else np.zeros(1) for t in over]
-    places = [
-        np.searchsorted(axis, numbers[:, titles.index(t)]) for t, axis in zip(over, axes, strict=True) if t in titles
-    ]
-    values = np.full([axis.size for axis, t in zip(axes, over, strict=True) if t in titles], np.nan)
-    values[tuple(places)] = numbers[:, -1]
-    if np.isnan(values).any() or values.size != len(numbers):
-        expected = f"one row for each combination of {', '.join(titles)}: {values.size}"
-        raise ConfigError(path, key="rows", value=len(numbers), expected=expected)
-    return Table(path, axes, values.reshape([axis.size for axis in axes]))
-
-
 def _ocv(path: Path) -> tuple[Array, Array]:
     """The OCV between SoC 0 and 1, with both ends."""
-    _, numbers = _load(path, ["SoC"])
+    _, numbers = ecm_csv.load(path, ["SoC"])
     soc, voltage_V = numbers[np.argsort(numbers[:, 0])].T
     if soc[0] > 1e-6 or soc[-1] < 1 - 1e-6:
         raise ConfigError(path, key="SoC", value=f"{soc[0]:g} to {soc[-1]:g}", expected="fractions that cover 0..1")
@@ -227,7 +142,7 @@ def _ocv(path: Path) -> tuple[Array, Array]:
 
 def _entropic(path: Path, ocv_V: Array) -> Array:
     """dOCV/dT along the OCV, at its reference temperature."""
-    table = _table(path, ("OCV [V]", "Temperature [degC]"))
+    table = ecm_csv.table(path, ("OCV [V]", "Temperature [degC]"))
     at_reference = [np.interp(REFERENCE_DEGC, table.axes[1], row) for row in table.values]
     return np.asarray(np.interp(ocv_V, table.axes[0], at_reference))
 
@@ -236,16 +151,16 @@ def _dynamics(
     tables: dict[str, Path], pairs: int, capacity_Ah: float
 ) -> tuple[dict[str, Any], dict[str, float], Array]:
     """The [dynamics], how far they are from the tables (relative, rms over currents), and the currents of r0."""
-    r0 = _table(tables["R0"])
+    r0 = ecm_csv.table(tables["R0"])
     temperatures, currents_A, soc = r0.axes
     if not (soc[0] <= 1e-6 and soc[-1] >= 1 - 1e-6):
         raise ConfigError(r0.path, key="SoC", value=f"{soc[0]:g} to {soc[-1]:g}", expected="fractions that cover 0..1")
     of_cell = f" for {capacity_Ah:g} Ah (--capacity)"
     resistances = plausible.DROP_AT_1C_V.times(1 / capacity_Ah)
-    _require(r0.path, "R0 [Ohm]", float(np.median(r0.values)), resistances, of_cell)
+    ecm_csv.require(r0.path, "R0 [Ohm]", float(np.median(r0.values)), resistances, of_cell)
     largest_A = float(np.abs(currents_A).max())
     if currents_A.size > 1:
-        _require(r0.path, "Current [A]", largest_A, plausible.RATE_PER_H.times(capacity_Ah), of_cell)
+        ecm_csv.require(r0.path, "Current [A]", largest_A, plausible.RATE_PER_H.times(capacity_Ah), of_cell)
     discharge, charge, knee_A = _knee(r0)
     sections: dict[str, Any] = {"soc": soc.round(6), "temperature_degC": [float(T) for T in temperatures]}
     sections["r0_ohm"] = cellfile.figures(discharge)
@@ -258,13 +173,13 @@ def _dynamics(
     deviation = {"r0_ohm": _rms(linear / r0.values - 1)}
     found = []
     for j in range(1, pairs + 1):
-        r, c = _table(tables[f"R{j}"]), _table(tables[f"C{j}"])
+        r, c = ecm_csv.table(tables[f"R{j}"]), ecm_csv.table(tables[f"C{j}"])
         for table in (r, c):
             if not all(map(np.array_equal, table.axes, r0.axes)):
                 expected = f"the same temperatures, currents and SoC as {r0.path.name}"
                 raise ConfigError(table.path, key="rows", value=len(table.values.ravel()), expected=expected)
         smaller = resistances._replace(low=resistances.low / 100)
-        _require(r.path, f"R{j} [Ohm]", float(np.median(r.values)), smaller, of_cell)
+        ecm_csv.require(r.path, f"R{j} [Ohm]", float(np.median(r.values)), smaller, of_cell)
         mean = r.values.mean(axis=1)
         found.append((mean, (r.values * c.values).mean(axis=1), _rms(mean[:, None] / r.values - 1)))
     for j, (mean, tau_s, off) in enumerate(sorted(found, key=lambda pair: float(np.median(pair[1]))), start=1):
@@ -273,7 +188,7 @@ def _dynamics(
     return sections, deviation, currents_A
 
 
-def _knee(r0: Table) -> tuple[Array, Array, Array]:
+def _knee(r0: ecm_csv.Table) -> tuple[Array, Array, Array]:
     """r0 of discharge and of charge, and the knee: least squares over the currents, each shape (temperatures, SoC)."""
     currents_A = r0.axes[1]
     drawn = currents_A > 0 if (currents_A > 0).any() else np.ones(currents_A.size, dtype=bool)

@@ -61,6 +61,7 @@ MISTAKES = {  # factors of time, current, voltage, SoC
     "hours": (1 / 3600, 1.0, 1.0, 1.0),
     "ms": (1e3, 1.0, 1.0, 1.0),
     "percent": (1.0, 1.0, 1.0, 100.0),
+    "a fraction": (1.0, 1.0, 1.0, 0.01),
 }
 # Without a reference SoC an hour's drive has no second witness of its time.
 UNSEEN = {("drive", "minutes"), ("drive", "hours")}
@@ -97,7 +98,7 @@ def test_a_wrong_unit_is_named_where_the_recording_has_a_reference(kind: str, mi
     assert mistake in line
 
 
-@pytest.mark.parametrize("mistake", [mistake for mistake in MISTAKES if mistake != "percent"])
+@pytest.mark.parametrize("mistake", [mistake for mistake, factors in MISTAKES.items() if factors[3] == 1.0])
 @pytest.mark.parametrize("kind", KINDS)
 @given(cell=CELLS)
 def test_a_wrong_unit_is_named_without_a_reference_too(kind: str, mistake: str, cell: Cell) -> None:
@@ -114,6 +115,14 @@ def test_a_charge_counter_is_a_witness_of_time_and_current(cell: Cell, kind: str
     recording.time_s = recording.time_s / factor
     line = refused(recording, cell)
     assert any(word in line for word in ("minutes", "hours", "ms", "mA", "kA")), line
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1e3, "the counter in mAh"), (3600.0, "the counter in As")])
+@given(cell=CELLS, kind=st.sampled_from(KINDS))
+def test_a_charge_counter_in_another_unit_is_named(factor: float, named: str, cell: Cell, kind: str) -> None:
+    recording = getattr(cell, kind)(reference=True)
+    recording.drawn_Ah = factor * recording.drawn_Ah
+    assert named in refused(recording, cell)
 
 
 def refused(recording: Recording, cell: Cell) -> str:

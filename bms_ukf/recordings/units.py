@@ -33,6 +33,8 @@ RATIOS = {
     1 / 60: "time in minutes",
     1 / 3600: "time in hours",
 }
+OF_COUNTER = RATIOS | {1e-3: "current in kA, or the counter in mAh", 1 / 3600: "time in hours, or the counter in As"}
+OF_SOC = RATIOS | {1e2: "SoC a fraction, under a header that says percent"}
 
 
 def require_units(
@@ -108,18 +110,19 @@ def _charge(recording: Recording, limits_V: Sequence[float], capacity_Ah: float)
     moved_Ah = np.cumsum(recording.current_A * recording.step_s) / 3600
     if np.ptp(moved_Ah) == 0:
         return None
-    witnesses = {"its charge counter": recording.drawn_Ah}
+    witnesses = [("its charge counter", recording.drawn_Ah, OF_COUNTER)]
     if recording.soc_ref is not None:
-        witnesses["soc_ref"] = -capacity_Ah * recording.soc_ref
-    for witness, charge_Ah in witnesses.items():
+        witnesses.append(("soc_ref", -capacity_Ah * recording.soc_ref, OF_SOC))
+    for witness, charge_Ah, ratios in witnesses:
         known = np.isfinite(charge_Ah)
-        if not known.any() or np.ptp(charge_Ah[known]) < MOVED * capacity_Ah:
+        here_Ah, there_Ah = (float(np.ptp(moved[known])) if known.any() else 0.0 for moved in (moved_Ah, charge_Ah))
+        if min(here_Ah, there_Ah) == 0 or max(here_Ah, there_Ah) < MOVED * capacity_Ah:
             continue
-        ratio = float(np.ptp(moved_Ah[known]) / np.ptp(charge_Ah[known]))
-        unit = next((unit for size, unit in RATIOS.items() if 1 / ROUNDING < ratio / size < ROUNDING), None)
+        ratio = here_Ah / there_Ah
+        unit = next((unit for size, unit in ratios.items() if 1 / ROUNDING < ratio / size < ROUNDING), None)
         if unit:
-            seen = f"{np.ptp(moved_Ah[known]):.3g} Ah of current and time"
-            return "charge", seen, f"{np.ptp(charge_Ah[known]):.3g} Ah by {witness}: is the {unit}?"
+            seen = f"{here_Ah:.3g} Ah of current and time"
+            return "charge", seen, f"{there_Ah:.3g} Ah by {witness}: is the {unit}?"
     if np.ptp(moved_Ah) > capacity_Ah / MOVED:
         seen = f"{np.ptp(moved_Ah):.3g} Ah of current and time"
         return "charge", seen, f"no more than the {capacity_Ah:g} Ah of the cell: is the {RATIOS[1e3]}?"

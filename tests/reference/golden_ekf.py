@@ -3,8 +3,8 @@
     BMS_UKF_DATA=<folder> python tests/reference/golden_ekf.py            # run ours, list it against the baseline
     BMS_UKF_DATA=<folder> python tests/reference/golden_ekf.py --write    # make the baseline again, from the EKF of now
 
-The baseline stands still while the cell files and the EKF change: `golden_ekf.json` names the commit and the cell file
-that made it. A group is a set (manifest), a temperature and a case of `bms-ukf score`.
+The baseline stands still while the cell files and the EKF change: `golden_ekf.json` names the commit of the EKF and the
+cell files that made it, and the command. A group is a set (manifest), a temperature and a case of `bms-ukf score`.
 """
 
 from __future__ import annotations
