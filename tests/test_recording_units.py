@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bms_ukf.errors import ConfigError
+from bms_ukf.manifest import Manifest
+from bms_ukf.measured import load
 from bms_ukf.recordings import Recording, require_units, require_voltage
 
 Array = NDArray[np.float64]
@@ -207,3 +209,15 @@ def test_the_voltages_of_a_table_have_a_unit_too() -> None:
         ConfigError, match=r"ocv\.csv: voltage_V is '3700 in the median'; expected 1 to 5 V: is it in mV"
     ):
         require_voltage("ocv.csv", np.array([3000.0, np.nan, 3700.0, 4200.0]))
+
+
+@pytest.mark.usefixtures("third_party")
+def test_measured_recordings_are_accepted_and_their_wrong_units_named() -> None:
+    path = Path(__file__).parents[1] / "models" / "cells" / "manifests" / "panasonic_ncr18650pf.toml"
+    tests = Manifest.load(path)
+    for test in tests.test:
+        recording = load(path, tests, test)
+        for mistake, factors in MISTAKES.items():
+            if recording.soc_ref is not None or factors[3] == 1.0:
+                with pytest.raises(ConfigError, match=mistake):
+                    require_units(mistaken(recording, mistake), tests.voltage_limits_V, tests.capacity_Ah)

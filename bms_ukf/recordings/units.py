@@ -126,11 +126,14 @@ def _charge(recording: Recording, limits_V: Sequence[float], capacity_Ah: float)
     if np.ptp(moved_Ah) > capacity_Ah / MOVED:
         seen = f"{np.ptp(moved_Ah):.3g} Ah of current and time"
         return "charge", seen, f"no more than the {capacity_Ah:g} Ah of the cell: is the {RATIOS[1e3]}?"
-    if recording.after_gap.any():  # the cell may have been charged in it
-        return None
     small = np.abs(recording.current_A) < SMALL_RATE_PER_H * capacity_Ah
-    swept_V = float(np.ptp(np.percentile(recording.voltage_V[small], [5, 95]))) if small.sum() > FEWEST_JUMPS else 0.0
-    if swept_V > SWEPT * (limits_V[1] - limits_V[0]) and np.ptp(moved_Ah) < MOVED * capacity_Ah:
-        seen = f"{np.ptp(moved_Ah):.3g} Ah while the voltage goes over {swept_V:.2f} V"
-        return "charge", seen, f"most of the {capacity_Ah:g} Ah of the cell: is the {RATIOS[1 / 60]} or hours?"
+    for stretch in np.split(np.arange(small.size), np.flatnonzero(recording.after_gap)):  # a gap may hide a charge
+        rows = stretch[small[stretch]]
+        if rows.size <= FEWEST_JUMPS:
+            continue
+        swept_V = float(np.ptp(np.percentile(recording.voltage_V[rows], [0.5, 99.5])))
+        here_Ah = float(np.ptp(moved_Ah[stretch]))
+        if swept_V > SWEPT * (limits_V[1] - limits_V[0]) and here_Ah < MOVED * capacity_Ah:
+            seen = f"{here_Ah:.3g} Ah while the voltage goes over {swept_V:.2f} V"
+            return "charge", seen, f"most of the {capacity_Ah:g} Ah of the cell: is the {RATIOS[1 / 60]} or hours?"
     return None
