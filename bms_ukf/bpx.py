@@ -66,7 +66,7 @@ def open_circuit(path: Path) -> tuple[Array, Array]:
 
 
 def _section(found: Any, key: str) -> dict[str, Any]:
-    """An object of the file; empty if there is none of that name."""
+    """Return the object of that name; empty if the file has no such object."""
     section = found.get(key) if isinstance(found, dict) else None
     return section if isinstance(section, dict) else {}
 

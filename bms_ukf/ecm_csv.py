@@ -69,7 +69,7 @@ def load(path: Path, over: Sequence[str]) -> tuple[list[str], Array]:
 
 
 def _require_unit(path: Path, title: str, column: Array) -> None:
-    """Raise ConfigError if a column holds what its title's unit rules out, whatever the cell's size."""
+    """Raise ConfigError for a column that its title's unit rules out for cells of any size."""
     if title == "SoC" and column.max() > plausible.MOST_SOC:
         raise ConfigError(path, key=title, value=float(column.max()), expected="fractions of 1: is it in percent?")
     if title == "Temperature [degC]" and column.min() > plausible.HOTTEST_DEGC:

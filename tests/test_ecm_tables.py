@@ -195,7 +195,7 @@ def test_a_cell_of_a_table_that_holds_anything_is_imported_or_one_line(
 
 
 def imported_or_one_line(tables: Path) -> None:
-    """Warnings are errors: a number that is none on the way shows, too."""
+    """Warnings are errors, so an intermediate NaN fails, too."""
     try:
         text = import_cell([tables], name="x", chemistry="NMC", capacity_Ah=20.0)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Recordings in a wrong unit are refused with the evidence, whatever the cell's size; right ones are not."""
+"""Recordings in a wrong unit are refused with the evidence, for cells of any size; right ones are not."""
 
 from __future__ import annotations
 

@@ -423,7 +423,7 @@ def test_a_mistake_is_one_line(bms_ukf, data: Path, tests: list[str], more: list
 def test_each_file_is_scored_whole_with_a_cell_identified_without_it(
     data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The identification itself takes minutes and has its own tests: here it is told from what it was given."""
+    """The identification takes minutes and has its own tests: a stand-in records its manifests."""
     given: list[tuple[set[str], set[str]]] = []
 
     def identified(path: Path, progress) -> SimpleNamespace:

@@ -27,7 +27,7 @@ from bms_ukf.tuning import Tuning
 
 @dataclass(slots=True, frozen=True)
 class Grid:
-    """What is run on every recording, beside the cases."""
+    """Estimators, rate and options of a score."""
 
     estimators: tuple[str, ...] = tuple(ESTIMATORS)
     step_s: float | None = recorded.STEP_S  # between rows; None: as recorded

@@ -105,7 +105,7 @@ def _shares(outcomes: Sequence[Outcome]) -> NDArray[np.float64]:
 
 
 class Variant(NamedTuple):
-    """What `score` tells apart by temperature and case: the smallest group whose interval is judged."""
+    """Temperature and case: the smallest group whose interval is judged."""
 
     temperature_degC: float
     case: str

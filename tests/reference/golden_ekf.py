@@ -52,7 +52,7 @@ def variants(name: str, estimator: str) -> list[dict[str, Any]]:
 
 
 def baseline() -> dict[str, Any]:
-    """What `--write` keeps."""
+    """Return the content of `golden_ekf.json`, from the EKF of now."""
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True)
     sets = {}
     for name in SETS:
