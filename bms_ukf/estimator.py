@@ -88,6 +88,11 @@ class Estimator(PerCell):
         self.adjusted = 0
         self.accepted = 0  # samples that were not refused: what the alive counter on the bus follows
 
+    @property
+    def lean(self) -> NDArray[Any]:
+        """Mean of each cell's innovations over five minutes, in their own sigmas; NaN before the first voltage."""
+        return self._state[:, layout.H_LEAN].reshape(-1)[: self.cells]
+
     def step(self, sample: Sample, out: Estimate | None = None) -> Estimate:
         """Advance to `sample` and say what is now known; `out`, if given, is overwritten and returned.
 

@@ -160,3 +160,18 @@ def test_float32_finds_the_same_r0_and_offset():
     f64, f32 = (Estimator(CELL, precision=bits).replay(*driven(3600, 1.3, 0.1)[:4]) for bits in ("f64", "f32"))
     assert np.abs(f64["r0_ohm"] - f32["r0_ohm"]).max() < 1e-3 * R0
     assert np.abs(f64["current_bias_A"] - f32["current_bias_A"]).max() < 1e-4
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("noise_V", [0.02, 0.04])
+@pytest.mark.parametrize("charged", [0.5, 0.85])
+def test_a_noisy_voltage_does_not_keep_a_wrong_soc_alive(seed, noise_V, charged):
+    """The voltage error has grown to 40 mV; then a belief is wrong by less than that of one reading, for minutes."""
+    cell, dice = CellParams.load("lgm50_chen2020"), np.random.default_rng(seed)
+    estimator = Estimator(cell)
+    for second in range(1500):
+        soc = 0.7 if second < 900 else charged
+        voltage_V = float(cell.ocv_V(soc, 25.0)) + dice.normal(0.0, noise_V)
+        estimate = estimator.step(Sample((second + 1) * 10**9, 0.0, voltage_V, 25.0))
+    assert estimate.soc_low < charged < estimate.soc_high
+    assert estimate.soc == pytest.approx(charged, abs=0.02)

@@ -108,6 +108,21 @@ def test_a_sensor_that_is_dead_under_a_constant_load_is_named_within_ten_minutes
     assert found is Fault.CURRENT_FAILED
 
 
+@pytest.mark.parametrize("load", [0.3, 0.5, 1.0])
+@pytest.mark.parametrize("shown_A", [0.0, 0.05])
+def test_a_load_that_has_flowed_since_before_the_first_sample_names_a_sensor_that_shows_none(cell, load, shown_A):
+    """No step of the current shows it: only a voltage that goes on falling, where a rest comes to an end."""
+    estimator, estimate = Estimator(cell), Estimate()
+    watch, dice = Watch(estimator), np.random.default_rng(3)
+    for sample in course(cell, 600, current_A=load * cell.cell.capacity_Ah):
+        sample.current_A = round(shown_A + dice.normal(0.0, 0.005), 3)
+        watch.take(sample, estimate)
+        if watch.fault is Fault.CURRENT_FAILED:
+            break
+        estimate = estimator.step(sample)
+    assert watch.fault is Fault.CURRENT_FAILED
+
+
 @pytest.mark.parametrize("name", sensor_failures.RIGHT)
 def test_a_sensor_that_is_right_is_not_accused_in_any_situation_of_the_campaign(name):
     situation = classes.situation(name, 5)

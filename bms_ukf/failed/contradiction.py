@@ -5,6 +5,8 @@ three sigmas are compared: of 95 % intervals one in twenty misses the truth by a
 of them was wrong, or the current between them is: nobody can tell which, so none of them is a promise. This finds what
 no step of a load shows: a current that is clipped, halved or dead since before the first sample, a voltage that stands
 still or jumps, a start that was sure of the wrong SoC.
+
+So do innovations that lean to one side for minutes (`kernel.adapt`): the voltage goes where the belief does not.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ EVERY_NS = 10_000_000_000  # SoC is slow, and a comparison of 96 cells takes lon
 MORE = 3.0 / BOUND_SIGMAS - 1.0  # of a half-width, from a 95 % interval to one of three sigmas
 GAP_NS = 20_000_000_000  # without a current: the charge is not known
 LASTS_NS = 900_000_000_000  # without another contradiction, until the interval counts again
+LEAN = 0.6  # of the innovations; the filter doubts its belief at 0.7, and starts anew
 
 
 class Contradiction:
@@ -39,6 +42,7 @@ class Contradiction:
         self._least_A, self._most_A = tuning.current_margin * charge_A, tuning.current_margin * discharge_A
         self._adjusted = estimator.adjusted
         self._until_ns: int | None = None
+        self.leans = False  # innovations of most cells lean to one side
         self.reset()
 
     def reset(self) -> None:
@@ -86,7 +90,9 @@ class Contradiction:
             per_capacity = 1.0 / estimator.capacity_scale[self._cells]
             low, high = np.asarray(estimate.soc_low)[self._cells], np.asarray(estimate.soc_high)[self._cells]
             apart = self._many(low, high, self._charge * per_capacity, loose * per_capacity)
-        if apart:
+        leaning = np.abs(estimator.lean[self._cells]) > LEAN
+        self.leans = bool(leaning.mean() > 0.5)
+        if apart or leaning.any():
             self._until_ns = t_ns + LASTS_NS
 
     def _one(self, low: PerCell, high: PerCell, charge: float, loose: float) -> bool:

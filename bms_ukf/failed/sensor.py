@@ -30,6 +30,8 @@ log = logging.getLogger(__name__)
 AGREED = 12.0  # log likelihood ratio of the sensor being right
 HOLD_NS, HOLD_MAX_NS = 20_000_000_000, 3_600_000_000_000  # without a load unseen, at first and at most
 PROBATION_NS = 3_600_000_000_000  # in which one load unseen names what failed before
+STILL_HOURS, SMALL_HOURS = 200.0, 20.0  # capacity over them: a current that has not moved, one that may be none
+STANDS_NS = 300_000_000_000
 SPELLS = 2  # times the longest time without a load unseen that another one ended
 SOC_UNKNOWN = 0.5
 
@@ -63,6 +65,8 @@ class CurrentSensor:
         self._blocks = Blocks(cells, current_max_A, voltages_V)
         self._response, self._double = Response(cell), Response(cell)
         self._steps, self._changed, self._unseen = Steps(), Changed(), Unseen()
+        self._capacity_Ah = cell.cell.capacity_Ah
+        self._still_A, self._still_ns = math.nan, 0  # what the current has shown since
         self._voltage_V = math.nan
         self._agreed, self._hold_ns, self._event_ns = 0.0, HOLD_NS, 0
         self._spell_ns = 0  # the longest between two loads unseen, since it was named
@@ -72,6 +76,8 @@ class CurrentSensor:
         block = self._blocks.take(sample)
         if block is None:
             return False
+        if not abs(block.current_A - self._still_A) <= self._capacity_Ah / STILL_HOURS:
+            self._still_A, self._still_ns = block.current_A, block.t_ns
         soc = mean_known(charged)
         if math.isnan(soc):
             soc = SOC_UNKNOWN
@@ -84,6 +90,11 @@ class CurrentSensor:
     def doubted(self) -> bool:
         """Whether anything speaks against the sensor, if too little to suspect it."""
         return self.fault is Fault.NONE and (self._changed.doubted or self._unseen.seen)
+
+    def shows_rest_ns(self, t_ns: int) -> int | None:
+        """Since when the sensor has shown a current that may be none and does not move; None: not for long."""
+        is_small = abs(self._still_A) <= self._capacity_Ah / SMALL_HOURS
+        return self._still_ns if is_small and t_ns - self._still_ns >= STANDS_NS else None
 
     def accuse(self, since_ns: int, t_ns: int) -> None:
         """Name a sensor by what else is known: it has been wrong since `since_ns`."""

@@ -55,6 +55,7 @@ class Watch:
             self._contradiction.take(sample.t_ns, sample.current_A, estimate)
             if self._contradiction.stands(sample.t_ns):
                 self.shown |= Fault.UNCERTAIN
+            self._accuse_of_a_load(self._one, self._contradiction, sample.t_ns)
             return
         changed = [sensor for k, cells, sensor in self._strings if sensor.see(seen_by(k, cells, sample), soc)]
         for sensor in changed:
@@ -71,6 +72,8 @@ class Watch:
             contradiction.take(sample.t_ns, math.nan if strings_A is None else float(strings_A[k]), estimate)
             if contradiction.stands(sample.t_ns):
                 self.shown |= Fault.UNCERTAIN
+        for k, _, sensor in self._strings:
+            self._accuse_of_a_load(sensor, self._contradictions[k], sample.t_ns)
 
     def distrust(self, t_ns: int) -> None:
         """Go back as far as can be: the current was never right."""
@@ -90,6 +93,17 @@ class Watch:
         sensor.accuse(self._refused_ns, t_ns)
         self._refused_ns = None
         return True
+
+    def _accuse_of_a_load(self, sensor: CurrentSensor, contradiction: Contradiction, t_ns: int) -> None:
+        """Name a sensor that shows a rest while the voltage goes where no rest takes it; from the next sample on."""
+        if not contradiction.leans or sensor.fault is not _NONE:
+            return
+        since_ns = sensor.shows_rest_ns(t_ns)
+        if since_ns is not None:
+            sensor.accuse(since_ns, t_ns)
+            self._judge(sensor, t_ns)
+            self.fault |= sensor.fault
+            self.shown |= sensor.fault
 
     def _is_of_few_cells(self) -> bool:
         return bool(np.mean(self._estimator.cell_faults & _REJECTED > 0) <= 0.5)

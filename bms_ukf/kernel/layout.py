@@ -214,7 +214,8 @@ H_POLARISED = 31  # N_RC_MAX slots: voltage of each RC pair by the current alone
 H_USED = 34  # H_RECENT and the lead (`ohmic`) of the last sample that moved time on, V; others of its instant use them
 H_LEAD = 35
 H_CORE_USED = 36  # H_CORE_RISE at which the last sample that moved time on read its tables, K; for the same reason
-HELD = 37
+H_LEAN = 37  # mean of the innovations over `adapt.SCALE_S`, in their own sigmas: 0 of a belief that is right
+HELD = 38
 
 # Offsets in a record's cache: two numbers per channel follow, the value at the knot and its rise to the next.
 C_KNOT = 0  # SoC knot; NaN: nothing cached

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bms_ukf.kernel import bounds, histories, ohmic, process, voltage
+from bms_ukf.kernel import adapt, bounds, histories, ohmic, process, voltage
 from bms_ukf.kernel import gaussian_sum as gs
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel.belief import is_finite
@@ -70,6 +70,9 @@ def step_one(
         w[W * k.H_PART_WALK + c] = w[W * k.H_PART_S + c] = zero
     moves = held & (dt > zero) & (not begins)
     if begins:
+        w[W * k.H_LEAN + c] = zero
+        if doubted:
+            adapt.start(w, m, c)
         y[W * k.Y_KNOWN + c] = zero  # they begin at this instant: no charge is to flow before their voltage
         histories.begin(p, s, at, w, y, b, v, sums, m, c, doubted)
     else:

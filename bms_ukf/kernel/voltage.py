@@ -7,7 +7,7 @@ from typing import Any
 
 from bms_ukf.kernel import bias
 from bms_ukf.kernel import layout as k
-from bms_ukf.kernel.adapt import FAST_S, VOLTAGE_ERROR_S
+from bms_ukf.kernel.adapt import FAST_S, LEAN_MOST, VOLTAGE_ERROR_S
 from bms_ukf.kernel.ecm import between_rows, is_number, ocv_cubic, ocv_interval
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.memory import real, whole
@@ -105,7 +105,8 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         y[W * k.Y_CODE + c] += real(p, math.nan) if heard & (not compared) else code  # NaN: to be refused
         held = w[W * k.H_PARTS + c] > zero
         wide = fuse & (held | is_wide(p, w, m, c))
-        doubt = refused & (since >= p[k.P_REJECT_S])
+        leans = abs(w[W * k.H_LEAN + c]) > real(p, LEAN_MOST)
+        doubt = (refused & (since >= p[k.P_REJECT_S])) | (fuse & leans)
         special |= 1 if held | wide | doubt else 0
         how = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
         how = real(p, k.BY_PARTS) if wide else how
