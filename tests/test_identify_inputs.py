@@ -62,6 +62,39 @@ def test_a_table_that_is_no_ocv_is_refused(tmp_path: Path, scale: float, sign: f
         ocv_table.load(save(tmp_path, "soc,voltage_V", rows), listed())
 
 
+@pytest.mark.parametrize(("fall_mV", "refused"), [(1.0, False), (10.0, False), (120.0, True)])
+def test_a_table_that_falls_somewhere_is_named_or_refused(tmp_path: Path, fall_mV: float, refused: bool) -> None:
+    soc = np.linspace(0, 1, 51)
+    voltage_V = 3.3 + 0.5 * np.maximum(soc - 0.5, 0.0)
+    voltage_V[20] -= 1e-3 * fall_mV
+    path = save(tmp_path, "soc,voltage_V", [f"{s},{v}" for s, v in zip(soc, voltage_V, strict=True)])
+    if refused:
+        with pytest.raises(ConfigError, match=r"120 mV lower at SoC 0\.4"):
+            ocv_table.load(path, listed())
+        return
+    _, warnings = ocv_table.load(path, listed())
+    assert any("10 mV lower at SoC 0.4" in warning for warning in warnings) == (fall_mV == 10.0)
+
+
+@pytest.mark.parametrize(("half_V", "named"), [((0.02, 0.02), None), ((-0.01, 0.03), "below 0 in 23"), ((-0.02, 0.01), "!")])
+def test_a_negative_hysteresis_is_named_or_refused(
+    tmp_path: Path, half_V: tuple[float, float], named: str | None
+) -> None:
+    soc = np.linspace(0, 1, 101)
+    halves = half_V[0] + (half_V[1] - half_V[0]) * soc
+    rows = [f"{s},{v},{h}" for s, v, h in zip(soc, curve_V(soc), halves, strict=True)]
+    path = save(tmp_path, "soc,voltage_V,half", rows)
+    test = listed(columns={"hysteresis_V": "half"})
+    if named == "!":
+        with pytest.raises(ConfigError, match="charge branch minus discharge branch"):
+            ocv_table.load(path, test)
+        return
+    curve, warnings = ocv_table.load(path, test)
+    assert curve.half_width_V is not None
+    assert curve.half_width_V.min() >= 0
+    assert [named in warning for warning in warnings] == [True] if named else not warnings
+
+
 def test_a_bpx_file_gives_an_ocv(tmp_path: Path) -> None:
     limits = {"Minimum stoichiometry": 0.0, "Maximum stoichiometry": 1.0}
     electrodes = {

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import json
+import re
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,6 +27,7 @@ Sections = dict[str, dict[str, Any]]
 
 EDGE_V = 0.25  # how far an OCV may run beyond the voltage limits; `CellParams` refuses 0.3 V
 LIMITS_MARGIN_K = 5.0
+BARE_KEY = re.compile("[A-Za-z0-9_-]+")  # any other key needs quotes
 
 
 def sections(tests: Manifest, model: Model, slow: ocv.Slow, samples: Sequence[Samples], efficiency: float) -> Sections:
@@ -115,8 +118,9 @@ def today() -> str:
 
 
 def to_toml(found: Sections, title: str) -> str:
-    """The text of a cell file."""
-    lines = [f"# {title}", "format = 1"]
+    """Return the text of a cell file; of the title, a comment, on one line."""
+    printable = "".join(c if c.isprintable() else " " for c in title)
+    lines = [f"# {printable}", "format = 1"]
     for section, values in found.items():
         lines.append(f"\n[{section}]")
         lines += [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
@@ -130,12 +134,13 @@ def figures(table: Array, digits: int = 4) -> Array:
 
 
 def _key(key: str) -> str:
-    return key if key.isidentifier() else _value(key)
+    return key if BARE_KEY.fullmatch(key) else _value(key)
 
 
 def _value(value: Any) -> str:
     if isinstance(value, str):
-        return f'"{value}"'
+        # JSON escapes as TOML does, but for U+007F, which it leaves as it is and TOML forbids.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if np.ndim(value) == 0:
         return f"{float(value):.10g}" if float(value) % 1 or abs(float(value)) > 1e9 else f"{float(value):.1f}"
     if np.ndim(value) == 1:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bms_ukf.errors import ConfigError
 from bms_ukf.recordings.columns import EVERYTHING, Selection, read_columns
+from bms_ukf.recordings.edges import early_voltages
 
 Array = NDArray[np.float64]
 Hold = Literal["preceding", "following", "trapezoid"]
@@ -121,6 +122,12 @@ def read(
         columns.get("soc_ref"),
         warnings,
     )
+    early = np.flatnonzero(early_voltages(recording.current_A, recording.voltage_V, recording.at_rest))
+    if early.size:
+        recording.voltage_V[early] = recording.voltage_V[early - 1]
+        warnings.append(
+            f"{path.name}: {early.size} rests end with a voltage of the load that follows: that of the row before taken"
+        )
     return recording if counted else _until_gap(recording, restarts=restarts)
 
 
