@@ -12,7 +12,7 @@ from bms_ukf import identify, toml
 from bms_ukf.cell import CellParams
 from bms_ukf.cli import main
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import dynamics, ocv, openloop, samples, uncertainty
+from bms_ukf.identify import choice, dynamics, ocv, openloop, samples, uncertainty
 from bms_ukf.identify.simulate import R0, R1, Place, between, drop
 from bms_ukf.identify.tables import SOC, Structure, Unknowns
 from bms_ukf.manifest import Manifest, MeasuredTest
@@ -319,7 +319,7 @@ def test_a_reversed_current_is_refused_from_the_command_line(
 
 def test_blocks_left_out_and_blocks_fitted_share_no_row(found: identify.Identified, made_up: Path) -> None:
     _, chosen, _, _ = identify.load(made_up, Manifest.load(made_up))
-    pairs = zip(dynamics._alternate(chosen["fit"], 0), dynamics._alternate(chosen["fit"], 1), strict=True)
+    pairs = zip(choice.alternate(chosen["fit"], 0), choice.alternate(chosen["fit"], 1), strict=True)
     for train, judge in pairs:
         assert not np.any(train.counted & judge.counted)
         assert np.all(train.counted | judge.counted)
@@ -354,7 +354,7 @@ def test_the_stated_error_of_r0_covers_what_halves_of_the_tests_make_of_it(
     """Fits to alternating blocks differ by the errors of both; sigmas of independent rows would be far smaller."""
     _, chosen, _, _ = identify.load(made_up, Manifest.load(made_up))
     fits = [
-        dynamics.fit(found.model, dynamics._alternate(chosen["fit"], phase), evaluations=8, kept=700, uncertain=True)
+        dynamics.fit(found.model, choice.alternate(chosen["fit"], phase), evaluations=8, kept=700, uncertain=True)
         for phase in (0, 1)
     ]
     seen = [fit.unknowns.tables(fit.x)[R0][:, uncertainty.MIDDLE] for fit in fits]

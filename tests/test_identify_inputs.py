@@ -76,7 +76,9 @@ def test_a_table_that_falls_somewhere_is_named_or_refused(tmp_path: Path, fall_m
     assert any("10 mV lower at SoC 0.4" in warning for warning in warnings) == (fall_mV == 10.0)
 
 
-@pytest.mark.parametrize(("half_V", "named"), [((0.02, 0.02), None), ((-0.01, 0.03), "below 0 in 23"), ((-0.02, 0.01), "!")])
+@pytest.mark.parametrize(
+    ("half_V", "named"), [((0.02, 0.02), None), ((-0.01, 0.03), "below 0 in 23"), ((-0.02, 0.01), "!")]
+)
 def test_a_negative_hysteresis_is_named_or_refused(
     tmp_path: Path, half_V: tuple[float, float], named: str | None
 ) -> None:

@@ -14,16 +14,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bms_ukf import measured, toml
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.identify import (
+    beyond,
     cellfile,
+    choice,
     dynamics,
     errorbar,
     noise,
     ocv,
+    ocv_rests,
     ocv_table,
     openloop,
     rests,
@@ -57,12 +61,13 @@ def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identif
     if not fitted:
         expected = "at least one of role 'pulse', 'drive' or 'charge' to fit"
         raise ConfigError(path, key="test", expected=expected)
-    model = dynamics.identify(fitted, slow, progress)
+    model = choice.identify(fitted, slow, progress)
     progress("noise and checks")
-    found = cellfile.sections(tests, model, slow, fitted, efficiency)
+    rows = beyond.Extended(model)
+    found = cellfile.sections(tests, rows, slow, fitted, efficiency)
     draft = _loaded(found | {"noise": _draft_noise(model)}, path)
     judged = {use: [openloop.predict(draft, test) for test in group] for use, group in chosen.items()}
-    found["noise"] = _noise(judged, model, found)
+    found["noise"] = rows.noise(_noise(judged, model, found))
     progress("error bar")
     drafted = _loaded(found, path)
     drives = [test for test in chosen["validate"] or fitted if test.test.role != "pulse"]
@@ -72,7 +77,11 @@ def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identif
         use: {_label(test): round(1e3 * seen.rmse_V(), 1) for test, seen in zip(group, judged[use], strict=True)}
         for use, group in chosen.items()
     }
-    found |= cellfile.provenance(path, tests, model.held_out_mV, rmse_mV) | uncertainty.summary(model, slow)
+    found |= (
+        cellfile.provenance(path, tests, model.held_out_mV, rmse_mV)
+        | rows.provenance()
+        | uncertainty.summary(model, slow)
+    )
     title = f"{tests.cell}: {tests.chemistry}, identified from measured tests; bms_ukf/cell.py explains every key."
     text = cellfile.to_toml(found, title)
     warnings += warn.about(model, slow, chosen, judged)
@@ -97,7 +106,11 @@ def load(
     progress("open-circuit voltage")
     moving = [pair for pair in recordings if pair[0].role != "ocv"]
     still = [pair for pair in recordings if pair[0].role == "ocv"]
-    slow = ocv.analyse(tests, still, str(path), tables) if still or tables else _from_rests(tests, moving, path)
+    if still or tables:
+        slow = ocv.analyse(tests, still, str(path), tables)
+        slow = ocv_rests.reconcile(slow, ocv_rests.found(_counted(moving, slow.capacity_Ah)))
+    else:
+        slow = _from_rests(tests, moving, path)
     warnings += slow.warnings
     efficiency = (
         samples.coulombic_efficiency([pair for pair in moving if pair[0].use == "fit"], slow.capacity_Ah) or 1.0
@@ -115,12 +128,17 @@ def load(
 
 
 def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
-    pulses = [
-        pair for pair in moving if pair[0].role == "pulse" and pair[0].use == "fit" and pair[0].initial_soc != "rest"
-    ]
     capacity_Ah = tests.capacity_Ah or 1.0  # without one it is refused, whatever the SoC
-    counted = [(test, recording, samples.counted_soc(recording, test, capacity_Ah, 1.0)) for test, recording in pulses]
-    return ocv.from_rests(tests, counted, str(path))
+    pulses = [pair for pair in moving if pair[0].role == "pulse"]
+    return ocv.from_rests(tests, _counted(pulses, capacity_Ah), str(path))
+
+
+def _counted(
+    moving: list[tuple[MeasuredTest, Recording]], capacity_Ah: float
+) -> list[tuple[MeasuredTest, Recording, NDArray[np.float64]]]:
+    """Return the tests to fit whose SoC does not come from the OCV, with that SoC."""
+    fair = [(test, recording) for test, recording in moving if test.use == "fit" and test.initial_soc != "rest"]
+    return [(test, recording, samples.counted_soc(recording, test, capacity_Ah, 1.0)) for test, recording in fair]
 
 
 def _noise(

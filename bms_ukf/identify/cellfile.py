@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from bms_ukf import manifest
 from bms_ukf.identify import ocv
-from bms_ukf.identify.dynamics import SPLINES, Model
+from bms_ukf.identify.beyond import Extended
+from bms_ukf.identify.dynamics import SPLINES
+from bms_ukf.identify.ocv_rows import OcvRows
 from bms_ukf.identify.samples import Samples
 from bms_ukf.identify.simulate import HYSTERESIS, KNEE, R0, R0_CHARGE, R1
 from bms_ukf.identify.tables import SOC
@@ -30,17 +32,25 @@ LIMITS_MARGIN_K = 5.0
 BARE_KEY = re.compile("[A-Za-z0-9_-]+")  # any other key needs quotes
 
 
-def sections(tests: Manifest, model: Model, slow: ocv.Slow, samples: Sequence[Samples], efficiency: float) -> Sections:
-    """The sections of a cell file but for [noise] and [provenance]."""
+def sections(
+    tests: Manifest, rows: Extended, slow: ocv.Slow, samples: Sequence[Samples], efficiency: float
+) -> Sections:
+    """Return the sections of a cell file but for [noise] and [provenance].
+
+    The limits of temperature are those of the tests: in a row beyond, the estimator says that it extrapolates.
+    """
+    model = rows.model
     unknowns = model.unknowns
-    tables = np.exp(unknowns.tables(model.x))
-    temperatures = [float(T) for T in unknowns.temperature_degC]
+    tables = np.exp(rows.tables)
+    temperatures = [float(T) for T in rows.temperature_degC]
+    coldest, warmest = unknowns.temperature_degC[[0, -1]].tolist()
     current_A = np.concatenate([test.current_A for test in samples])
     capacity_Ah = slow.capacity_Ah
     dynamics: dict[str, Any] = {"soc": SOC, "temperature_degC": temperatures, "r0_ohm": figures(tables[R0])}
     if not np.allclose(tables[R0_CHARGE], tables[R0], rtol=1e-3):
         dynamics["r0_charge_ohm"] = figures(tables[R0_CHARGE])
-    dynamics["r0_knee_A"] = figures(tables[KNEE], 3)
+    if unknowns.structure.knee:
+        dynamics["r0_knee_A"] = figures(tables[KNEE], 3)
     for j in range(unknowns.structure.pairs):
         dynamics[f"r{j + 1}_ohm"] = figures(tables[R1 + 2 * j])
         dynamics[f"tau{j + 1}_s"] = figures(tables[R1 + 2 * j + 1], 3)
@@ -55,9 +65,9 @@ def sections(tests: Manifest, model: Model, slow: ocv.Slow, samples: Sequence[Sa
                 round(min(float(current_A.min()), -0.5 * capacity_Ah), 1),
                 round(max(float(current_A.max()), capacity_Ah), 1),
             ],
-            "temperature_limits_degC": [temperatures[0] - LIMITS_MARGIN_K, temperatures[-1] + LIMITS_MARGIN_K],
+            "temperature_limits_degC": [coldest - LIMITS_MARGIN_K, warmest + LIMITS_MARGIN_K],
         },
-        "ocv": {"temperature_degC": temperatures, "soc": ocv.SOC, "voltage_V": ocv_rows(model, tests).round(5)},
+        "ocv": {"temperature_degC": temperatures, "soc": ocv.SOC, "voltage_V": ocv_rows(rows, slow, tests).round(5)},
         "dynamics": dynamics,
     }
     if unknowns.structure.hysteresis:
@@ -72,14 +82,19 @@ def sections(tests: Manifest, model: Model, slow: ocv.Slow, samples: Sequence[Sa
     return found
 
 
-def ocv_rows(model: Model, tests: Manifest) -> Array:
-    """OCV at every temperature row over `ocv.SOC`: the slow test's, its correction, and strictly rising again."""
-    unknowns = model.unknowns
+def ocv_rows(extended: Extended, slow: ocv.Slow, tests: Manifest) -> Array:
+    """Return the OCV at every temperature row over `ocv.SOC`: the slow test's, its correction, strictly rising again.
+
+    Beyond the tests of the dynamics the slow tests may go on; their correction is that of the nearest row.
+    """
+    model = extended.model
+    correction_V, scales = model.unknowns.correction_V(model.x), np.exp(model.x[model.unknowns.scale])
+    slow_V = OcvRows([slow.at(T) for T in extended.temperature_degC.tolist()])
     low, high = tests.voltage_limits_V
     rows = []
-    for row, scale in enumerate(np.exp(model.x[unknowns.scale])):
-        voltage_V, _ = model.ocv(np.full(ocv.SOC.size, row), 1 - (1 - ocv.SOC) * scale)
-        voltage_V = voltage_V + SPLINES(ocv.SOC) @ unknowns.correction_V(model.x)[row]
+    for row, source in enumerate(extended.source):
+        voltage_V, _ = slow_V(np.full(ocv.SOC.size, row), 1 - (1 - ocv.SOC) * scales[source])
+        voltage_V = voltage_V + SPLINES(ocv.SOC) @ correction_V[source]
         curve, _ = ocv.rising(ocv.SOC, voltage_V, smoothing=ocv.SMOOTHING / 100)
         lifted = np.maximum(curve, low - EDGE_V + ocv.LEAST_SLOPE_V * ocv.SOC)
         rows.append(np.minimum(lifted, high + EDGE_V - ocv.LEAST_SLOPE_V * (1 - ocv.SOC)))

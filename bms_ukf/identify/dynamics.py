@@ -1,12 +1,8 @@
-"""Fits the tables of the cell model to tests, by least squares of the open-loop voltage error.
-
-One structure after the other is fitted to half of the rows, in alternating blocks, and judged by the other half; the
-best is then fitted to all.
-"""
+"""Fits the tables of the cell model to tests, by least squares of the open-loop voltage error."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,22 +11,19 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
+from bms_ukf.cell import ZERO_CELSIUS_K
 from bms_ukf.identify import effective, ocv
 from bms_ukf.identify.ocv_rows import OcvRows
-from bms_ukf.identify.samples import Samples, at
+from bms_ukf.identify.samples import Samples
 from bms_ukf.identify.simulate import Place, between, drop, lowpass
-from bms_ukf.identify.tables import CORE_WEIGHT, CORES, OCV_SOC, SOC, ZERO_CELSIUS_K, Structure, Unknowns
+from bms_ukf.identify.tables import CORE_WEIGHT, OCV_SOC, SOC, Structure, Unknowns
 
 Array = NDArray[np.float64]
-Progress = Callable[[str], None]
 
 SOC_ERROR = 0.005  # of the count: where the OCV is steep, a row says less
 SCALE_V = 1e-3  # residuals are in mV
 ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs, as rows of error
 KEPT = 700  # rows of a test that enter the least squares
-BLOCK_SHARE = 1 / 24  # of a test, for the blocks that are left out in turn
-WORTH_IT = 0.99  # share of the error on rows left out that more structure may leave at most
-
 
 SPLINES = CubicSpline(OCV_SOC, np.eye(OCV_SOC.size), bc_type="natural")  # cardinal: one column for each knot
 
@@ -105,47 +98,24 @@ class Model:
         return np.asarray(x[-2] / self.capacity_Ah * lowpass(test.step_s, heat_W, float(np.exp(x[-1]))))
 
 
-def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lambda _: None) -> Model:
-    """The best model of the tests, given their OCV."""
+def unfitted(structure: Structure, tests: Sequence[Samples], slow: ocv.Slow) -> Model:
+    """Return the model of a structure as it is believed to be before any data."""
     temperature_degC = temperature_rows(tests)
-    hysteresis = _has_hysteresis(slow)
-
-    def build(structure: Structure) -> Model:
-        half = None
-        if structure.hysteresis and slow.half_width_V is not None:
-            half = np.interp(SOC, ocv.SOC, slow.half_width_V)
-        unknowns = Unknowns(
-            structure,
-            temperature_degC,
-            slow.capacity_Ah,
-            ocv_slope_V(slow),
-            half,
-            both_branches=slow.half_width_V is not None,
-        )
-        start = unknowns.start
-        if structure.core is not None:
-            start = np.concatenate([start, _core_unknowns(structure.core.start)])
-        return Model(unknowns, OcvRows([slow.at(T) for T in temperature_degC]), slow.capacity_Ah, start)
-
-    train, judge = _alternate(tests, 0), _alternate(tests, 1)
-    held_out_mV: dict[str, float] = {}
-    best: Model | None = None
-    for pairs in (2, 3):
-        best = _better(best, build(Structure(pairs, hysteresis)), train, judge, held_out_mV, progress)
-    assert best is not None
-    coreless = best
-    for core in CORES:
-        loaded = build(Structure(coreless.unknowns.structure.pairs, hysteresis, core))
-        best = _better(best, _with_core(coreless, loaded), train, judge, held_out_mV, progress)
-    chosen = best.unknowns.structure
-    progress(f"fitting {chosen} to all")
-    if chosen.core is None:
-        model = fit(best, tests, evaluations=40, kept=KEPT, ftol=2e-4, uncertain=True)
-    else:  # the load's heat is told from what is left without it, not from where half of the rows led
-        without = fit(build(Structure(chosen.pairs, hysteresis)), tests, evaluations=15, kept=KEPT)
-        model = fit(_with_core(without, best), tests, evaluations=20, kept=KEPT, ftol=2e-4, uncertain=True)
-    model.held_out_mV = held_out_mV
-    return model
+    half = None
+    if structure.hysteresis and slow.half_width_V is not None:
+        half = np.interp(SOC, ocv.SOC, slow.half_width_V)
+    unknowns = Unknowns(
+        structure,
+        temperature_degC,
+        slow.capacity_Ah,
+        ocv_slope_V(slow),
+        half,
+        both_branches=slow.half_width_V is not None,
+    )
+    start = unknowns.start
+    if structure.core is not None:
+        start = np.concatenate([start, _core_unknowns(structure.core.start)])
+    return Model(unknowns, OcvRows([slow.at(T) for T in temperature_degC]), slow.capacity_Ah, start)
 
 
 def temperature_rows(tests: Sequence[Samples]) -> Array:
@@ -220,7 +190,7 @@ def bounds(model: Model) -> tuple[Array, Array]:
     return lower, upper
 
 
-def _with_core(without: Model, structure: Model) -> Model:
+def with_core(without: Model, structure: Model) -> Model:
     """A fit without core as the start of one with it: the core where its structure starts."""
     core = structure.unknowns.structure.core
     assert core is not None
@@ -233,45 +203,6 @@ def _core_unknowns(core: tuple[float, float]) -> Array:
     return np.array([core[0], np.log(core[1])])
 
 
-def error_mV(model: Model, tests: Sequence[Samples], low: float = 0.1, high: float = 0.9) -> list[float]:
-    """Root mean square error on the counted rows between two SoC, for each test; NaN if there are none."""
-    found = []
-    for test in tests:
-        error = (model.simulate(test) - test.voltage_V)[test.counted & (test.soc > low) & (test.soc < high)]
-        found.append(1e3 * float(np.sqrt(np.mean(error**2))) if error.size else float("nan"))
-    return found
-
-
-def _better(
-    best: Model | None,
-    model: Model,
-    train: Sequence[Samples],
-    judge: Sequence[Samples],
-    held_out_mV: dict[str, float],
-    progress: Progress,
-) -> Model:
-    """`model`, fitted, if its error on rows left out is smaller than that of `best` by more than chance."""
-    name = str(model.unknowns.structure)
-    progress(f"trying {name}")
-    model = fit(model, train, evaluations=15, kept=KEPT // 2)
-    drives = [test for test in judge if test.test.role == "drive"] or judge
-    # The geometric mean: a hard test must not outvote the others.
-    held_out_mV[name] = float(np.exp(np.nanmean(np.log(error_mV(model, drives)))))
-    if best is None or held_out_mV[name] < WORTH_IT * held_out_mV[str(best.unknowns.structure)]:
-        return model
-    return best
-
-
-def _alternate(tests: Sequence[Samples], phase: int) -> list[Samples]:
-    """The tests with every other block of their counted rows counting."""
-    chosen = []
-    for test in tests:
-        time_s = test.time_s
-        block = (time_s / (BLOCK_SHARE * float(time_s[-1]))).astype(int)
-        chosen.append(at(test, test.counted & (block % 2 == phase)))
-    return chosen
-
-
 def _weights(model: Model, test: Samples, stride: int) -> Array:
     """What every stride-th row's error in mV weighs; a test's squares sum to its `ROWS` on a flat OCV."""
     _, slope = model.ocv(np.zeros(test.soc.size, dtype=np.int64), test.soc)
@@ -280,13 +211,3 @@ def _weights(model: Model, test: Samples, stride: int) -> Array:
     first, last = test.test.part
     count = max(int(np.count_nonzero(test.counted[::stride])), 1)
     return np.asarray(kept * np.sqrt((last - first) * ROWS[test.test.role] / count))
-
-
-def _has_hysteresis(slow: ocv.Slow) -> bool:
-    """Whether the branches are further apart than the resistance of a cell explains, near 25 degC."""
-    half = slow.half_width_V
-    if half is None:
-        return False
-    current_A = min(curve.current_A for curve in slow.curves)
-    plateau = (ocv.SOC > 0.1) & (ocv.SOC < 0.9)
-    return bool(np.median(half[plateau]) > 2 * current_A * 0.1 / slow.capacity_Ah)

@@ -140,11 +140,9 @@ def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recordi
     """
     points: dict[float, list[tuple[float, float]]] = {}
     for test, recording, soc in recordings:
-        resting = np.abs(recording.current_A) < 0.01 * np.abs(recording.current_A).max()
-        edges = np.flatnonzero(np.diff(resting.astype(int), prepend=0, append=0))
-        for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-            if recording.time_s[end - 1] - recording.time_s[start] >= REST_S:
-                points.setdefault(test.temperature_degC, []).append((soc[end - 1], recording.voltage_V[end - 1]))
+        for first, end in long_rests(recording):
+            point = float(soc[end - 1]), rest_voltage_V(recording, first, end)
+            points.setdefault(test.temperature_degC, []).append(point)
     curves = []
     for temperature, found in sorted(points.items()):
         soc, voltage_V = np.array(sorted(found)).T
@@ -157,6 +155,19 @@ def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recordi
         )
         raise ConfigError(source, key="test", expected=expected)
     return Slow(tests.capacity_Ah, curves, warnings=["no slow test: the OCV is drawn through the ends of rests"])
+
+
+def long_rests(recording: Recording) -> list[tuple[int, int]]:
+    """Return first row and row after the last of every rest long enough to tell the OCV."""
+    resting = np.abs(recording.current_A) < 0.01 * np.abs(recording.current_A).max()
+    edges = np.flatnonzero(np.diff(resting.astype(int), prepend=0, append=0))
+    found = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(a, b) for a, b in found if recording.time_s[b - 1] - recording.time_s[a] >= REST_S]
+
+
+def rest_voltage_V(recording: Recording, first: int, end: int) -> float:
+    """Return the voltage at the end of a rest, without its last row: that may have the voltage of the next load."""
+    return float(np.median(recording.voltage_V[max(first, end - 6) : max(end - 1, first + 1)]))
 
 
 def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:

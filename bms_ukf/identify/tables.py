@@ -14,24 +14,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bms_ukf.cell import NO_KNEE_A, ZERO_CELSIUS_K
 from bms_ukf.identify.simulate import HYSTERESIS, KNEE, R0, R0_CHARGE, R1
 
 Array = NDArray[np.float64]
 Real = NDArray[np.floating[Any]]
-ZERO_CELSIUS_K = 273.15
 
 SOC = np.array([0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 OCV_SOC = np.linspace(0, 1, 14)
 ACTIVATION_K = 3000.0  # r ~ exp(ACTIVATION_K / T): about 25 kJ/mol, what cells show between 0 and 40 degC
 
 TAU_START_S = (10.0, 100.0, 1000.0)
-TAU_LIMITS_S = ((0.3, 25.0), (25.0, 200.0), (200.0, 2e4))  # apart: the faster first, at any temperature
+# Apart: the faster first, at any temperature. Rows are a second apart: a faster pair would be r0 under another name.
+TAU_LIMITS_S = ((1.5, 25.0), (25.0, 200.0), (200.0, 2e4))
+SLOWEST_S = 2e4  # the last pair, whichever it is, may be as slow
 RATE_START = 50.0  # hysteresis: a branch is reached after some 2 % of SoC
 LEAST_HYSTERESIS_V = 1e-4
 
 # How strongly, in mV for a change of 1 in a logarithm: kink from SoC knot to knot, kink over 1000/T, step between
 # neighbouring temperatures off the Arrhenius line, the same for what should hardly depend on temperature, level, rate.
 KINK_SOC, KINK_T, ARRHENIUS, HELD, LEVEL, RATE = 30.0, 9.0, 3.0, 30.0, 1.0, 20.0
+TRANSFER = 30.0  # mV for a change of 1 in the log of r0 times knee, between neighbouring temperatures
 DIFFUSION = 1.0  # power of the OCV slope in the third resistance: a lag of the SoC at the surface makes 1
 STEP_SOC = 30.0  # from knot to knot: where nothing is known, a table goes on as it was
 HYSTERESIS_LEVEL = 30.0  # its width is measured by the slow test
@@ -68,10 +71,14 @@ class Structure:
     pairs: int
     hysteresis: bool = False
     core: Core | None = None
+    knee: bool = True  # of r0 with the current
+    charge: bool = True  # an r0 of its own on charge
 
     def __str__(self) -> str:
         parts = [f"{self.pairs} RC"]
         parts += ["hysteresis"] if self.hysteresis else []
+        parts += [] if self.knee else ["r0 without knee"]
+        parts += [] if self.charge else ["one r0 for both directions"]
         return ", ".join([*parts, self.core.name] if self.core else parts)
 
 
@@ -109,9 +116,14 @@ class Unknowns:
         r_start = np.log(0.1 / capacity_Ah) + arrhenius
         least, most = 1e-4 / capacity_Ah, 5.0 / capacity_Ah  # ohm
         self._table((R0, R0_CHARGE), r_start, (least, most), over_soc=True)
-        self._table((R0_CHARGE,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True)
-        knee = np.log(2.0 * capacity_Ah) - arrhenius
-        self._table((KNEE,), knee, (0.02 * capacity_Ah, 1000 * capacity_Ah), over_soc=False)
+        if structure.charge:
+            self._table((R0_CHARGE,), np.zeros_like(arrhenius), (0.3, 3.0), over_soc=False, held=True)
+        if structure.knee:
+            knee = np.log(2.0 * capacity_Ah) - arrhenius
+            self._table((KNEE,), knee, (0.02 * capacity_Ah, 1000 * capacity_Ah), over_soc=False)
+            self._believe_in_charge_transfer()
+        else:
+            self.offset[KNEE] = np.log(NO_KNEE_A)
         if half_width_V is not None:
             self.offset[HYSTERESIS] = np.log(np.maximum(half_width_V, LEAST_HYSTERESIS_V))
             self._table(
@@ -121,7 +133,9 @@ class Unknowns:
             shape = DIFFUSION * np.log(ocv_slope_V) if j == 2 else 0.0
             self._table((R1 + 2 * j,), r_start - 0.7, (least, most), over_soc=True, shape=shape)
             tau = np.full_like(arrhenius, np.log(TAU_START_S[j]))
-            self._table((R1 + 2 * j + 1,), tau, TAU_LIMITS_S[j], over_soc=False, held=True)
+            fastest_s, slowest_s = TAU_LIMITS_S[j]
+            limits = (fastest_s, slowest_s if j + 1 < structure.pairs else SLOWEST_S)
+            self._table((R1 + 2 * j + 1,), tau, limits, over_soc=False, held=True)
         self.to_tables = np.hstack(self._maps)
         self.n_tables = self.to_tables.shape[1]
         self.rate = self.n_tables
@@ -182,6 +196,15 @@ class Unknowns:
             for strength, order in ((KINK_SOC, 2), (STEP_SOC, 1)):
                 along = strength * np.kron(np.eye(rows), np.diff(np.eye(knots), order, axis=0))
                 self._believe(first, along, along @ self._starts[-1])
+
+    def _believe_in_charge_transfer(self) -> None:
+        """Believe r0 knee ~ T, as a charge transfer has it; else rows share one voltage out to r0 and knee at will."""
+        rows = self.temperature_degC.size
+        between = np.diff(np.eye(rows), axis=0)
+        mean_r0 = np.kron(between, np.full(SOC.size, 1 / SOC.size))
+        unused = np.zeros((rows - 1, rows * self.structure.charge))
+        target = between @ np.log(self.temperature_degC + ZERO_CELSIUS_K)
+        self._believe(0, TRANSFER * np.hstack([mean_r0, unused, between]), TRANSFER * target)
 
     def _believe_the_rest(self) -> None:
         rows = self.temperature_degC.size

@@ -28,7 +28,9 @@ def tables(model: Model) -> dict[str, Array]:
     unknowns = model.unknowns
     parts = unknowns.to_tables.reshape(*unknowns.shape, -1)
     sigma = np.sqrt(parts**2 @ model.sigma[: unknowns.n_tables] ** 2)
-    channels = {"r0_ohm": R0, "r0_charge_ohm": R0_CHARGE, "r0_knee_A": KNEE}
+    channels = {"r0_ohm": R0}
+    channels |= {"r0_charge_ohm": R0_CHARGE} if unknowns.structure.charge else {}
+    channels |= {"r0_knee_A": KNEE} if unknowns.structure.knee else {}
     for j in range(unknowns.structure.pairs):
         channels |= {f"r{j + 1}_ohm": R1 + 2 * j, f"tau{j + 1}_s": R1 + 2 * j + 1}
     if unknowns.structure.hysteresis:
