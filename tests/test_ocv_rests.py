@@ -32,7 +32,7 @@ def pulses(hysteresis_V: float, early: bool, wrong_V: float = 0.0) -> tuple[Meas
     if early:
         last = np.flatnonzero(np.diff(current_A) > 0)
         voltage_V[last] = voltage_V[last + 1]
-    time_s = np.arange(soc.size) * 10.0
+    time_s = np.linspace(0.0, 10.0 * (soc.size - 1), soc.size)
     drawn_Ah = np.asarray((1 - soc) * CAPACITY_AH)
     recording = Recording("pulses", time_s, current_A, voltage_V, np.full(soc.size, 25.0), drawn_Ah)
     return MeasuredTest(role="pulse", file="p", temperature_degC=25.0), recording, soc

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from bms_ukf import measured, toml
 from bms_ukf.cell import CellParams
-from bms_ukf.errors import ConfigError
 from bms_ukf.identify import (
     beyond,
     cellfile,
@@ -36,6 +36,7 @@ from bms_ukf.identify import (
     warn,
 )
 from bms_ukf.identify.samples import Samples
+from bms_ukf.identify.tables import Structure
 from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
 
@@ -55,13 +56,15 @@ class Identified:
 
 def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identified:
     """The cell file that the manifest at `path` asks for. Raises ConfigError for data that cannot be used."""
+    with threadpool_limits(1, user_api="blas"):  # its threads wait for each other: ten times slower on a busy machine
+        return _run(path, progress)
+
+
+def _run(path: Path, progress: Callable[[str], None]) -> Identified:
     tests = Manifest.load(path)
     slow, chosen, efficiency, warnings = load(path, tests, progress)
     fitted = chosen["fit"]
-    if not fitted:
-        expected = "at least one of role 'pulse', 'drive' or 'charge' to fit"
-        raise ConfigError(path, key="test", expected=expected)
-    model = choice.identify(fitted, slow, progress)
+    model = choice.identify(fitted, slow, progress) if fitted else dynamics.unfitted(Structure(2), fitted, slow)
     progress("noise and checks")
     rows = beyond.Extended(model)
     found = cellfile.sections(tests, rows, slow, fitted, efficiency)
@@ -128,9 +131,13 @@ def load(
 
 
 def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
-    capacity_Ah = tests.capacity_Ah or 1.0  # without one it is refused, whatever the SoC
     pulses = [pair for pair in moving if pair[0].role == "pulse"]
-    return ocv.from_rests(tests, _counted(pulses, capacity_Ah), str(path))
+    drawn_Ah = ocv.drawn_from_full(tests, [pair for pair in pulses if pair[0].use == "fit"])
+    capacity_Ah = tests.capacity_Ah or drawn_Ah or 1.0  # without one it is refused, whatever the SoC
+    slow = ocv.from_rests(tests, _counted(pulses, capacity_Ah), str(path), tests.capacity_Ah or drawn_Ah)
+    if tests.capacity_Ah is None:
+        slow.warnings.append(f"capacity_Ah is the {capacity_Ah:.4g} Ah that the pulse test drew from full to empty")
+    return slow
 
 
 def _counted(
@@ -146,7 +153,9 @@ def _noise(
 ) -> dict[str, Any]:
     """From tests never fitted; without any, from the fitted ones, enlarged as rows left out of the choice tell."""
     pairs = model.unknowns.structure.pairs
-    if judged["validate"]:
+    if not any(judged.values()):
+        return _assumed_noise(model)
+    if judged["validate"] or not model.held_out_mV:
         values = noise.estimate(judged["validate"], pairs)
     else:
         seen_mV = float(np.nanmean([1e3 * prediction.rmse_V() for prediction in judged["fit"]]))
@@ -157,6 +166,12 @@ def _noise(
     if "hysteresis" in found:
         values["hysteresis_sigma_V"] = round(max(0.3 * float(np.median(found["hysteresis"]["max_V"])), 5e-4), 4)
     return {**values, **where}
+
+
+def _assumed_noise(model: dynamics.Model) -> dict[str, float]:
+    """Return the noise of resistances that nobody measured: wrong by up to a factor."""
+    values = dict.fromkeys(("r0_rel_sigma", "rc_rel_sigma"), noise.MOST_REL)
+    return _draft_noise(model) | values
 
 
 def _draft_noise(model: dynamics.Model) -> dict[str, float]:

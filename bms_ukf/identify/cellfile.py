@@ -44,7 +44,7 @@ def sections(
     tables = np.exp(rows.tables)
     temperatures = [float(T) for T in rows.temperature_degC]
     coldest, warmest = unknowns.temperature_degC[[0, -1]].tolist()
-    current_A = np.concatenate([test.current_A for test in samples])
+    current_A = np.concatenate([np.zeros(1), *(test.current_A for test in samples)])
     capacity_Ah = slow.capacity_Ah
     dynamics: dict[str, Any] = {"soc": SOC, "temperature_degC": temperatures, "r0_ohm": figures(tables[R0])}
     if not np.allclose(tables[R0_CHARGE], tables[R0], rtol=1e-3):

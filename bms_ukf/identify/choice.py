@@ -70,7 +70,9 @@ def identify(tests: Sequence[Samples], slow: ocv.Slow, progress: Progress = lamb
             without = fit(build(replace(chosen, core=None)), tests, evaluations=15, kept=KEPT)
             model = fit(with_core(without, build(chosen)), tests, evaluations=20, kept=KEPT, ftol=2e-4, uncertain=True)
         chosen = simpler(model)
-    model.held_out_mV = held_out_mV
+    # A structure without what is not known was not judged by itself.
+    left_out_mV = held_out_mV[str(best.model.unknowns.structure)]
+    model.held_out_mV = {str(model.unknowns.structure): left_out_mV} | held_out_mV
     return model
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
-from threadpoolctl import threadpool_limits
 
 from bms_ukf.cell import ZERO_CELSIUS_K
 from bms_ukf.identify import effective, ocv
@@ -100,7 +99,7 @@ class Model:
 
 def unfitted(structure: Structure, tests: Sequence[Samples], slow: ocv.Slow) -> Model:
     """Return the model of a structure as it is believed to be before any data."""
-    temperature_degC = temperature_rows(tests)
+    temperature_degC = temperature_rows(tests, slow)
     half = None
     if structure.hysteresis and slow.half_width_V is not None:
         half = np.interp(SOC, ocv.SOC, slow.half_width_V)
@@ -118,10 +117,14 @@ def unfitted(structure: Structure, tests: Sequence[Samples], slow: ocv.Slow) -> 
     return Model(unknowns, OcvRows([slow.at(T) for T in temperature_degC]), slow.capacity_Ah, start)
 
 
-def temperature_rows(tests: Sequence[Samples]) -> Array:
-    """Rows of the tables, degC: the temperatures of the tests, and one as warm as any of them became."""
+def temperature_rows(tests: Sequence[Samples], slow: ocv.Slow) -> Array:
+    """Return the rows of the tables, degC: the temperatures of the tests, and one as warm as any of them became.
+
+    Without tests, those of the slow ones.
+    """
     rows = sorted({float(test.test.temperature_degC) for test in tests})
-    warmest = max(float(np.quantile(test.temperature_degC, 0.999)) for test in tests)
+    rows = rows or [curve.temperature_degC for curve in slow.curves]
+    warmest = max((float(np.quantile(test.temperature_degC, 0.999)) for test in tests), default=rows[-1])
     if warmest > rows[-1] + 4 or len(rows) == 1:
         rows.append(max(5 * np.ceil(warmest / 5), rows[-1] + 5))
     return np.array(rows)
@@ -167,10 +170,9 @@ def fit(
 
     lower, upper = bounds(model)
     start = np.clip(model.x, lower + 1e-6, upper - 1e-6)
-    with threadpool_limits(1, user_api="blas"):
-        found = least_squares(
-            residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
-        )
+    found = least_squares(
+        residuals, start, jac=jacobian, bounds=(lower, upper), x_scale="jac", ftol=ftol, max_nfev=evaluations
+    )
     edges = np.cumsum([weight.size for weight in weights])[:-1]
     sigma = None
     if uncertain:

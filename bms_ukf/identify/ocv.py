@@ -133,7 +133,23 @@ def analyse(
     return Slow(capacity_Ah, both or curves, drawn_Ah, charged_Ah, warnings)
 
 
-def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording, Array]], source: str) -> Slow:
+def drawn_from_full(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]]) -> float | None:
+    """Return the charge, Ah, from full to the lower limit in the test nearest 25 degC; None if no test goes there."""
+    low, _ = tests.voltage_limits_V
+    found = [
+        (abs(test.temperature_degC - 25), float(recording.drawn_Ah.max()))
+        for test, recording in recordings
+        if test.initial_soc in (None, 1.0) and recording.soc_ref is None and recording.voltage_V.min() < low + 0.05
+    ]
+    return min(found)[1] if found else None
+
+
+def from_rests(
+    tests: Manifest,
+    recordings: Sequence[tuple[MeasuredTest, Recording, Array]],
+    source: str,
+    capacity_Ah: float | None = None,
+) -> Slow:
     """The OCV from the ends of long rests, of tests given with their SoC, where there is no slow test.
 
     Raises ConfigError if the rests are too few to draw a curve through.
@@ -149,12 +165,14 @@ def from_rests(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recordi
         if soc.size >= FEWEST_RESTS and np.ptp(soc) > 0.5:
             curve, _ = rising(soc, voltage_V)
             curves.append(Curve(temperature, curve, np.full(SOC.size, REST_ERROR_V), None, 0.0, ("rest",)))
-    if not curves or tests.capacity_Ah is None:
+    capacity_Ah = tests.capacity_Ah or capacity_Ah
+    if not curves or capacity_Ah is None:
         expected = (
-            f"a test of role 'ocv', or capacity_Ah and pulse tests with {FEWEST_RESTS} rests of {REST_S:g} s or more"
+            "a test of role 'ocv', or pulse tests with"
+            f" {FEWEST_RESTS} rests of {REST_S:g} s or more, and capacity_Ah or pulses from full to empty"
         )
         raise ConfigError(source, key="test", expected=expected)
-    return Slow(tests.capacity_Ah, curves, warnings=["no slow test: the OCV is drawn through the ends of rests"])
+    return Slow(capacity_Ah, curves, warnings=["no slow test: the OCV is drawn through the ends of rests"])
 
 
 def long_rests(recording: Recording) -> list[tuple[int, int]]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import ocv, uncertainty
+from bms_ukf.identify import beyond, ocv, uncertainty
 from bms_ukf.identify.dynamics import Model
 from bms_ukf.identify.openloop import Prediction
 from bms_ukf.identify.samples import Samples
@@ -43,6 +43,11 @@ def about(
     model: Model, slow: ocv.Slow, chosen: dict[str, list[Samples]], judged: dict[str, list[Prediction]]
 ) -> list[str]:
     """Extrapolation, poor observability and moved capacity."""
+    if not chosen["fit"]:
+        return [
+            "no test of role 'pulse', 'drive' or 'charge': resistances are what cells of this capacity have,"
+            " and may be wrong by a factor"
+        ]
     return [
         *_about_capacity(model),
         *_about_reach(model, chosen["fit"], judged["validate"]),
@@ -64,11 +69,12 @@ def _about_reach(model: Model, fitted: Sequence[Samples], validated: Sequence[Pr
     """SoC and temperatures of the tables and of validated tests beyond what was fitted."""
     warmest = max(float(test.temperature_degC.max()) for test in fitted)
     coldest = min(float(test.temperature_degC.min()) for test in fitted)
-    warnings = [
-        f"the tables at {T:g} degC are extrapolated: fitted tests were at {coldest:.0f} to {warmest:.0f} degC"
-        for T in model.unknowns.temperature_degC
-        if not coldest - 3 <= T <= warmest + 3
-    ]
+    warnings = []
+    if coldest > beyond.COLD_DEGC + beyond.LEAST_K or warmest < beyond.HOT_DEGC - beyond.LEAST_K:
+        warnings.append(
+            f"fitted tests were at {coldest:.0f} to {warmest:.0f} degC: beyond, the tables go on by Arrhenius,"
+            " less sure the farther"
+        )
     least = min(float(test.soc[test.counted].min()) for test in fitted)
     most = max(float(test.soc[test.counted].max()) for test in fitted)
     if least > LEAST_COVERED[0] or most < LEAST_COVERED[1]:
