@@ -12,7 +12,7 @@ from bms_ukf import identify, toml
 from bms_ukf.cell import CellParams
 from bms_ukf.cli import main
 from bms_ukf.errors import ConfigError
-from bms_ukf.identify import choice, dynamics, ocv, openloop, samples, uncertainty
+from bms_ukf.identify import choice, dynamics, ocv, ocv_rests, openloop, samples, uncertainty
 from bms_ukf.identify.simulate import R0, R1, Place, between, drop
 from bms_ukf.identify.tables import SOC, Structure, Unknowns
 from bms_ukf.manifest import Manifest, MeasuredTest
@@ -274,11 +274,11 @@ def test_rests_between_pulses_stand_in_for_a_slow_test() -> None:
     columns = (time_s, current_A, voltage_V, np.full(soc.size, 25.0), (1 - soc) * CAPACITY_AH)
     pulses = Recording("pulses", *columns)
     test = MeasuredTest(role="pulse", file="p", temperature_degC=25.0)
-    slow = ocv.from_rests(manifest(capacity_Ah=CAPACITY_AH), [(test, pulses, soc)], "m")
+    slow = ocv_rests.from_rests(manifest(capacity_Ah=CAPACITY_AH), [(test, pulses, soc)], "m")
     inside = (ocv.SOC > 0.1) & (ocv.SOC < 0.95)
     np.testing.assert_allclose(slow.at(25.0)[inside], ocv_V(ocv.SOC)[inside], atol=5e-3)
     with pytest.raises(ConfigError, match="capacity_Ah"):
-        ocv.from_rests(manifest(), [(test, pulses, soc)], "m")
+        ocv_rests.from_rests(manifest(), [(test, pulses, soc)], "m")
 
 
 def test_one_temperature_is_enough(made_up: Path, tmp_path: Path) -> None:

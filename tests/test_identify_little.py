@@ -14,6 +14,7 @@ from bms_ukf.cell import CellParams
 from bms_ukf.estimator import Estimator
 from bms_ukf.identify import choice
 from bms_ukf.identify.choice import gain
+from bms_ukf.report.identify import write_report
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ def test_a_slow_test_alone_makes_a_cell_that_says_how_little_it_knows(tmp_path: 
     r0 = float(found.cell.dynamics_at(0.5, 25.0)["r0_ohm"])
     assert 0.3 < r0 / float(truth.dynamics_at(0.5, 25.0)["r0_ohm"]) < 3
     assert found.cell.cell.capacity_Ah == pytest.approx(truth.cell.capacity_Ah, rel=0.02)
+    assert "no test of role" in write_report(tmp_path / "report.html", found).read_text()
     rest = Estimator(found.cell).replay(*_rest(truth, 0.6))
     assert rest["soc"][-1] == pytest.approx(0.6, abs=0.05)
 

@@ -32,7 +32,6 @@ from bms_ukf.identify import (
     openloop,
     rests,
     samples,
-    uncertainty,
     warn,
 )
 from bms_ukf.identify.samples import Samples
@@ -50,6 +49,7 @@ class Identified:
     cell: CellParams
     model: dynamics.Model
     slow: ocv.Slow
+    rows: beyond.Extended  # of the cell file's tables
     predictions: dict[str, list[openloop.Prediction]]  # of the cell file, by "fit" and "validate"
     warnings: list[str] = field(default_factory=list)
 
@@ -80,15 +80,11 @@ def _run(path: Path, progress: Callable[[str], None]) -> Identified:
         use: {_label(test): round(1e3 * seen.rmse_V(), 1) for test, seen in zip(group, judged[use], strict=True)}
         for use, group in chosen.items()
     }
-    found |= (
-        cellfile.provenance(path, tests, model.held_out_mV, rmse_mV)
-        | rows.provenance()
-        | uncertainty.summary(model, slow)
-    )
+    found |= cellfile.provenance(path, tests, model.held_out_mV, rmse_mV) | rows.provenance(slow)
     title = f"{tests.cell}: {tests.chemistry}, identified from measured tests; bms_ukf/cell.py explains every key."
     text = cellfile.to_toml(found, title)
     warnings += warn.about(model, slow, chosen, judged)
-    return Identified(tests, text, _loaded(found, path), model, slow, judged, warnings)
+    return Identified(tests, text, _loaded(found, path), model, slow, rows, judged, warnings)
 
 
 def load(
@@ -132,9 +128,9 @@ def load(
 
 def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
     pulses = [pair for pair in moving if pair[0].role == "pulse"]
-    drawn_Ah = ocv.drawn_from_full(tests, [pair for pair in pulses if pair[0].use == "fit"])
+    drawn_Ah = ocv_rests.drawn_from_full(tests, [pair for pair in pulses if pair[0].use == "fit"])
     capacity_Ah = tests.capacity_Ah or drawn_Ah or 1.0  # without one it is refused, whatever the SoC
-    slow = ocv.from_rests(tests, _counted(pulses, capacity_Ah), str(path), tests.capacity_Ah or drawn_Ah)
+    slow = ocv_rests.from_rests(tests, _counted(pulses, capacity_Ah), str(path), tests.capacity_Ah or drawn_Ah)
     if tests.capacity_Ah is None:
         slow.warnings.append(f"capacity_Ah is the {capacity_Ah:.4g} Ah that the pulse test drew from full to empty")
     return slow

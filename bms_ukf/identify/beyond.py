@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bms_ukf.cell import ZERO_CELSIUS_K
-from bms_ukf.identify import uncertainty
+from bms_ukf.identify import ocv, uncertainty
 from bms_ukf.identify.dynamics import Model
 from bms_ukf.identify.simulate import KNEE, R0, R0_CHARGE, R1
 from bms_ukf.identify.tables import ACTIVATION_K
@@ -25,7 +25,9 @@ LEAST_K = 5.0  # a row nearer to the tests than this says nothing new
 ACTIVATION_SIGMA_K = 1500.0  # of ACTIVATION_K from cell to cell, and of one cell from warm to cold
 ACTIVATION_LIMITS_K = (0.0, 9000.0)
 MOST_OHM = 9.0  # `CellParams` refuses 10 ohm
+TYPICAL_RATE_PER_H = 1 / 3  # current over capacity at which an error of the resistances is weighed
 MOST_SCALE = 8.0
+MOST_GROWTH = 2.0  # more costs more than it saves: 3 made SoC of an LFP cell three times as wrong, 8 thirty times
 UNKNOWN = 0.3  # relative error of a resistance without a stated one
 
 
@@ -73,27 +75,52 @@ class Extended:
         """Return [noise] with rows of `error_scale` by which the interval grows with the distance from the tests."""
         if not self.added.any() or "error_scale" not in noise:
             return noise
-        relative = max(noise["r0_rel_sigma"], noise["rc_rel_sigma"], 0.05)
         seen_degC, scale = np.array(noise["temperature_degC"]), np.asarray(noise["error_scale"])
         rows = dict(zip(seen_degC.tolist(), scale, strict=True))
         for row in np.flatnonzero(self.added):
             T = float(self.temperature_degC[row])
             nearest = scale[int(np.argmin(np.abs(seen_degC - T)))]
-            grown = np.hypot(nearest, self.rel_sigma[row] / relative)
-            rows[T] = np.minimum(grown, MOST_SCALE).round(2)
+            rows[T] = np.minimum(nearest * self._growth(int(row), noise), MOST_SCALE).round(2)
         temperatures = sorted(rows)
         return noise | {"temperature_degC": temperatures, "error_scale": np.array([rows[T] for T in temperatures])}
 
-    def provenance(self) -> dict[str, dict[str, Any]]:
-        """Return the section that says which rows no test has seen, and what was assumed of them."""
-        if not self.added.any():
-            return {}
-        found = {
-            "temperature_degC": self.temperature_degC[self.added],
-            "r0_activation_K": self.activation_K[self.added].round(),
-            "r0_rel_sigma": self.rel_sigma[self.added].round(3),
+    def _growth(self, row: int, noise: dict[str, Any]) -> float:
+        """Return by how much the voltage error at a typical current is larger than [noise] says of this row."""
+        current_A = TYPICAL_RATE_PER_H * self.model.capacity_Ah
+        drops_V = current_A * np.median(np.exp(self.tables[:, row][:, uncertainty.MIDDLE]), axis=1)
+        pairs_V = drops_V[R1::2]
+        said_V2 = sum(value**2 for key, value in noise.items() if key.endswith("_sigma_V"))
+        said_V2 += (noise["r0_rel_sigma"] * drops_V[R0]) ** 2 + noise["rc_rel_sigma"] ** 2 * float(np.sum(pairs_V**2))
+        more_V = self.rel_sigma[row] * (drops_V[R0] + float(np.sum(pairs_V)))
+        return min(math.hypot(1.0, more_V / math.sqrt(said_V2)), MOST_GROWTH)
+
+    def known(self) -> dict[str, Array]:
+        """Return the relative standard errors of `uncertainty.tables`, grown beyond the tests."""
+        found = {}
+        for key, table in uncertainty.tables(self.model).items():
+            grown = self.rel_sigma if key.startswith("r") else np.zeros(self.rel_sigma.size)
+            found[key] = np.hypot(table[self.source], grown[:, None])
+        return found
+
+    def ocv_sigma_V(self, slow: ocv.Slow) -> Array:
+        """Return the standard errors of the OCV rows, V, shape (temperatures, ocv.SOC)."""
+        return np.asarray(uncertainty.ocv_V(self.model, slow)[self.source])
+
+    def provenance(self, slow: ocv.Slow) -> dict[str, dict[str, Any]]:
+        """Return the sections of errors, the median over 10 to 90 % SoC for each row, and of rows no test has seen."""
+        inside = (ocv.SOC >= 0.1) & (ocv.SOC <= 0.9)
+        middle = uncertainty.MIDDLE
+        found: dict[str, dict[str, Any]] = {
+            "provenance.rel_sigma": {k: np.median(v[:, middle], axis=1).round(3) for k, v in self.known().items()},
+            "provenance.sigma": {"ocv_mV": np.median(1e3 * self.ocv_sigma_V(slow)[:, inside], axis=1).round(2)},
         }
-        return {"provenance.arrhenius": found}
+        if self.added.any():
+            found["provenance.arrhenius"] = {
+                "temperature_degC": self.temperature_degC[self.added],
+                "r0_activation_K": self.activation_K[self.added].round(),
+                "r0_rel_sigma": self.rel_sigma[self.added].round(3),
+            }
+        return found
 
 
 def _activation(table: Array, sigma: Array | None, tested_degC: Array, edge: int) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from bms_ukf.identify.tables import CORE_WEIGHT, OCV_SOC, SOC, Structure, Unknow
 Array = NDArray[np.float64]
 
 SOC_ERROR = 0.005  # of the count: where the OCV is steep, a row says less
+REACH_K = 10.0  # beyond the rows of the tables: so far their logarithms go on over 1/T
 SCALE_V = 1e-3  # residuals are in mV
 ROWS = {"drive": 1600.0, "charge": 800.0, "pulse": 400.0}  # what a test weighs, as rows of error
 KEPT = 700  # rows of a test that enter the least squares
@@ -53,9 +54,11 @@ class Model:
         """Voltage, and its derivatives by the unknowns at every stride-th row (none for 0)."""
         unknowns = self.unknowns
         temperature_degC = test.temperature_degC + self._core_rise_K(x, test)
-        place = Place(
-            *between(-1000 / (temperature_degC + ZERO_CELSIUS_K), unknowns.inverse_K), *between(test.soc, SOC)
-        )
+        # As in the cell file, which has rows beyond: a loaded cell is warmer, or as if colder, than its tests.
+        reach_degC = unknowns.temperature_degC[[0, -1]] + np.array([-REACH_K, REACH_K])
+        coldest, warmest = (-1000 / (reach_degC + ZERO_CELSIUS_K)).tolist()
+        inverse_K = -1000 / (temperature_degC + ZERO_CELSIUS_K)
+        place = Place(*between(inverse_K, unknowns.inverse_K, (coldest, warmest)), *between(test.soc, SOC))
         rows = slice(0, 0) if stride == 0 else slice(None, None, stride)
         kept = np.arange(test.soc.size)[rows]
         out = np.empty(test.soc.size)

@@ -133,61 +133,6 @@ def analyse(
     return Slow(capacity_Ah, both or curves, drawn_Ah, charged_Ah, warnings)
 
 
-def drawn_from_full(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]]) -> float | None:
-    """Return the charge, Ah, from full to the lower limit in the test nearest 25 degC; None if no test goes there."""
-    low, _ = tests.voltage_limits_V
-    found = [
-        (abs(test.temperature_degC - 25), float(recording.drawn_Ah.max()))
-        for test, recording in recordings
-        if test.initial_soc in (None, 1.0) and recording.soc_ref is None and recording.voltage_V.min() < low + 0.05
-    ]
-    return min(found)[1] if found else None
-
-
-def from_rests(
-    tests: Manifest,
-    recordings: Sequence[tuple[MeasuredTest, Recording, Array]],
-    source: str,
-    capacity_Ah: float | None = None,
-) -> Slow:
-    """The OCV from the ends of long rests, of tests given with their SoC, where there is no slow test.
-
-    Raises ConfigError if the rests are too few to draw a curve through.
-    """
-    points: dict[float, list[tuple[float, float]]] = {}
-    for test, recording, soc in recordings:
-        for first, end in long_rests(recording):
-            point = float(soc[end - 1]), rest_voltage_V(recording, first, end)
-            points.setdefault(test.temperature_degC, []).append(point)
-    curves = []
-    for temperature, found in sorted(points.items()):
-        soc, voltage_V = np.array(sorted(found)).T
-        if soc.size >= FEWEST_RESTS and np.ptp(soc) > 0.5:
-            curve, _ = rising(soc, voltage_V)
-            curves.append(Curve(temperature, curve, np.full(SOC.size, REST_ERROR_V), None, 0.0, ("rest",)))
-    capacity_Ah = tests.capacity_Ah or capacity_Ah
-    if not curves or capacity_Ah is None:
-        expected = (
-            "a test of role 'ocv', or pulse tests with"
-            f" {FEWEST_RESTS} rests of {REST_S:g} s or more, and capacity_Ah or pulses from full to empty"
-        )
-        raise ConfigError(source, key="test", expected=expected)
-    return Slow(capacity_Ah, curves, warnings=["no slow test: the OCV is drawn through the ends of rests"])
-
-
-def long_rests(recording: Recording) -> list[tuple[int, int]]:
-    """Return first row and row after the last of every rest long enough to tell the OCV."""
-    resting = np.abs(recording.current_A) < 0.01 * np.abs(recording.current_A).max()
-    edges = np.flatnonzero(np.diff(resting.astype(int), prepend=0, append=0))
-    found = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [(a, b) for a, b in found if recording.time_s[b - 1] - recording.time_s[a] >= REST_S]
-
-
-def rest_voltage_V(recording: Recording, first: int, end: int) -> float:
-    """Return the voltage at the end of a rest, without its last row: that may have the voltage of the next load."""
-    return float(np.median(recording.voltage_V[max(first, end - 6) : max(end - 1, first + 1)]))
-
-
 def rising(soc: Array, voltage_V: Array, *, smoothing: float = SMOOTHING) -> tuple[Array, Array]:
     """The smooth, strictly rising curve over `SOC` nearest to points of it, and its standard error.
 

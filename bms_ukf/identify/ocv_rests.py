@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bms_ukf.errors import ConfigError
 from bms_ukf.identify import ocv
-from bms_ukf.manifest import MeasuredTest
+from bms_ukf.manifest import Manifest, MeasuredTest
 from bms_ukf.recordings import Recording
 
 Array = NDArray[np.float64]
@@ -39,13 +40,11 @@ def found(recordings: Sequence[tuple[MeasuredTest, Recording, Array]]) -> dict[f
     """Return the ends of long rests with a branch by temperature, from tests given with their SoC."""
     rests: dict[float, list[Rest]] = {}
     for test, recording, soc in recordings:
-        for first, end in ocv.long_rests(recording):
+        for first, end in long_rests(recording):
             moved = soc[:first] - soc[first]
             turned = np.flatnonzero(np.abs(moved) > TURNED)
             if turned.size and INSIDE[0] < soc[first] < INSIDE[1]:
-                rest = Rest(
-                    float(soc[end - 1]), ocv.rest_voltage_V(recording, first, end), int(np.sign(moved[turned[-1]]))
-                )
+                rest = Rest(float(soc[end - 1]), rest_voltage_V(recording, first, end), int(np.sign(moved[turned[-1]])))
                 rests.setdefault(test.temperature_degC, []).append(rest)
     return rests
 
@@ -96,3 +95,58 @@ def _reconciled(curve: ocv.Curve, rests: Sequence[Rest], warnings: list[str]) ->
     left_V = voltage_V - np.interp(soc, ocv.SOC, corrected)
     sigma_V = np.hypot(curve.sigma_V, max(ocv.REST_ERROR_V, float(np.median(np.abs(left_V)))))
     return replace(curve, voltage_V=corrected, sigma_V=sigma_V)
+
+
+def drawn_from_full(tests: Manifest, recordings: Sequence[tuple[MeasuredTest, Recording]]) -> float | None:
+    """Return the charge, Ah, from full to the lower limit in the test nearest 25 degC; None if no test goes there."""
+    low, _ = tests.voltage_limits_V
+    found = [
+        (abs(test.temperature_degC - 25), float(recording.drawn_Ah.max()))
+        for test, recording in recordings
+        if test.initial_soc in (None, 1.0) and recording.soc_ref is None and recording.voltage_V.min() < low + 0.05
+    ]
+    return min(found)[1] if found else None
+
+
+def from_rests(
+    tests: Manifest,
+    recordings: Sequence[tuple[MeasuredTest, Recording, Array]],
+    source: str,
+    capacity_Ah: float | None = None,
+) -> ocv.Slow:
+    """The OCV from the ends of long rests, of tests given with their SoC, where there is no slow test.
+
+    Raises ConfigError if the rests are too few to draw a curve through.
+    """
+    points: dict[float, list[tuple[float, float]]] = {}
+    for test, recording, soc in recordings:
+        for first, end in long_rests(recording):
+            point = float(soc[end - 1]), rest_voltage_V(recording, first, end)
+            points.setdefault(test.temperature_degC, []).append(point)
+    curves = []
+    for temperature, found in sorted(points.items()):
+        soc, voltage_V = np.array(sorted(found)).T
+        if soc.size >= ocv.FEWEST_RESTS and np.ptp(soc) > 0.5:
+            curve, _ = ocv.rising(soc, voltage_V)
+            curves.append(ocv.Curve(temperature, curve, np.full(ocv.SOC.size, ocv.REST_ERROR_V), None, 0.0, ("rest",)))
+    capacity_Ah = tests.capacity_Ah or capacity_Ah
+    if not curves or capacity_Ah is None:
+        expected = (
+            "a test of role 'ocv', or pulse tests with"
+            f" {ocv.FEWEST_RESTS} rests of {ocv.REST_S:g} s or more, and capacity_Ah or pulses from full to empty"
+        )
+        raise ConfigError(source, key="test", expected=expected)
+    return ocv.Slow(capacity_Ah, curves, warnings=["no slow test: the OCV is drawn through the ends of rests"])
+
+
+def long_rests(recording: Recording) -> list[tuple[int, int]]:
+    """Return first row and row after the last of every rest long enough to tell the OCV."""
+    resting = np.abs(recording.current_A) < 0.01 * np.abs(recording.current_A).max()
+    edges = np.flatnonzero(np.diff(resting.astype(int), prepend=0, append=0))
+    found = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(a, b) for a, b in found if recording.time_s[b - 1] - recording.time_s[a] >= ocv.REST_S]
+
+
+def rest_voltage_V(recording: Recording, first: int, end: int) -> float:
+    """Return the voltage at the end of a rest, without its last row: that may have the voltage of the next load."""
+    return float(np.median(recording.voltage_V[max(first, end - 6) : max(end - 1, first + 1)]))

@@ -31,11 +31,14 @@ class Place(NamedTuple):
     soc_part: Array
 
 
-def between(x: Array, knots: Array) -> tuple[Index, Array]:
-    """Left knot of each x and its part of the way to the next; held beyond the ends."""
+def between(x: Array, knots: Array, reach: tuple[float, float] | None = None) -> tuple[Index, Array]:
+    """Return the left knot of each x and its part of the way to the next, below 0 or above 1 beyond the ends.
+
+    The parts go on as far as `reach`, and are held there; without one, at the ends.
+    """
+    x = np.clip(x, *(reach or (knots[0], knots[-1])))
     left = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2).astype(np.int64)
-    part = np.clip((x - knots[left]) / (knots[left + 1] - knots[left]), 0.0, 1.0)
-    return left, part
+    return left, (x - knots[left]) / (knots[left + 1] - knots[left])
 
 
 FAST = {"reassoc", "contract", "nsz"}  # what lets the sums over sensitivities be vectorised, and no more

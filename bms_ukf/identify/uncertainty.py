@@ -6,8 +6,6 @@ finds in them; it holds what the tests tell apart, not what no model of this for
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,11 +46,3 @@ def ocv_V(model: Model, slow: ocv.Slow) -> Array:
         return at_rows
     correction = model.sigma[model.unknowns.ocv].reshape(rows.size, -1)
     return np.asarray(np.hypot(at_rows, np.sqrt(correction**2 @ (SPLINES(ocv.SOC) ** 2).T)))
-
-
-def summary(model: Model, slow: ocv.Slow) -> dict[str, dict[str, Any]]:
-    """Sections of the provenance: the median over 10 to 90 % SoC for each temperature row."""
-    relative = {key: np.median(table[:, MIDDLE], axis=1).round(3) for key, table in tables(model).items()}
-    inside = (ocv.SOC >= 0.1) & (ocv.SOC <= 0.9)
-    ocv_mV = np.median(1e3 * ocv_V(model, slow)[:, inside], axis=1).round(2)
-    return {"provenance.rel_sigma": relative, "provenance.sigma": {"ocv_mV": ocv_mV}}

@@ -76,7 +76,7 @@ def parameter_rows(found: Identified) -> list[tuple[str, list[str]]]:
     """For each table: the medians of its middle values and of their standard errors, by temperature, as text."""
     rows = []
     middle = SOC[uncertainty.MIDDLE]
-    for key, sigma in uncertainty.tables(found.model).items():
+    for key, sigma in found.rows.known().items():
         cells = []
         for T, row in zip(found.cell.dynamics.temperature_degC, sigma, strict=True):
             at_T = found.cell.dynamics_at(middle, T)

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bms_ukf.identify import Identified, uncertainty
+from bms_ukf.identify import Identified
 from bms_ukf.identify.ocv import SOC as MEASURED_SOC
 from bms_ukf.identify.openloop import Prediction
 from bms_ukf.identify.tables import SOC as TABLE_SOC
@@ -38,7 +38,7 @@ class IdentifyPlot:
 def render(found: Identified) -> Iterator[tuple[IdentifyPlot, bytes]]:
     """Every plot, as PNG."""
     traces = [(use, prediction) for use in ("validate", "fit") for prediction in found.predictions[use]]
-    plots = [*PLOTS, _traces_plot(traces[:MOST_TRACES])]
+    plots = [*PLOTS, *([_traces_plot(traces[:MOST_TRACES])] if traces else [])]
     for plot in plots:
         with mpl.rc_context(STYLE):
             figure = Figure(figsize=(9.6, plot.height_in), dpi=150, layout="constrained")
@@ -56,7 +56,7 @@ def _colour(rank: int, count: int) -> tuple[float, float, float, float]:
 def _ocv(found: Identified, figure: Figure) -> None:
     curve, slope = figure.subplots(1, 2)
     temperatures = found.cell.ocv.temperature_degC
-    sigmas_V = uncertainty.ocv_V(found.model, found.slow)
+    sigmas_V = found.rows.ocv_sigma_V(found.slow)
     for rank, temperature in enumerate(temperatures):
         voltage_V = found.cell.ocv_V(SOC, temperature)
         colour = _colour(rank, len(temperatures))
@@ -73,12 +73,14 @@ def _ocv(found: Identified, figure: Figure) -> None:
 
 def _tables(found: Identified, figure: Figure) -> None:
     dynamics = found.cell.dynamics
-    shown = [("r0_ohm", "r0 [mΩ]", 1e3), ("r0_knee_A", "knee of r0 [A]", 1.0)]
+    shown = [("r0_ohm", "r0 [mΩ]", 1e3)]
+    if dynamics.r0_knee_A is not None:
+        shown.append(("r0_knee_A", "knee of r0 [A]", 1.0))
     for j in range(dynamics.n_rc):
         shown += [(f"r{j + 1}_ohm", f"r{j + 1} [mΩ]", 1e3), (f"tau{j + 1}_s", f"tau{j + 1} [s]", 1.0)]
     if found.cell.hysteresis is not None:
         shown.append(("hysteresis_V", "hysteresis [mV]", 1e3))
-    sigmas = uncertainty.tables(found.model)
+    sigmas = found.rows.known()
     panels = figure.subplots((len(shown) + 1) // 2, 2, squeeze=False)
     for axes, (key, label, factor) in zip(panels.flat, shown, strict=False):
         for rank, temperature in enumerate(dynamics.temperature_degC):
@@ -88,6 +90,9 @@ def _tables(found: Identified, figure: Figure) -> None:
             if key in sigmas:
                 spread = np.exp(np.interp(SOC, TABLE_SOC, np.minimum(sigmas[key][rank], MOST_SPREAD)))
                 axes.fill_between(100 * SOC, values / spread, values * spread, color=colour, alpha=0.15, linewidth=0)
+        drawn = np.concatenate([line.get_ydata() for line in axes.lines])
+        if np.ptp(drawn) < 1e-9 * drawn.max():  # the scale of a constant is not found by itself
+            axes.set_ylim(0.5 * drawn.max(), 2 * drawn.max() + 1e-9)
         axes.set(ylabel=label, yscale="linear" if key == "hysteresis_V" else "log")
     for axes in panels.flat[len(shown) :]:
         axes.set_visible(False)
