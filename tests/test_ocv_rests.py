@@ -67,7 +67,7 @@ def test_one_branch_is_moved_to_the_rests_and_said_to_be(drop_V: float, directio
 def test_of_the_width_of_two_branches_only_what_rests_keep_is_hysteresis(
     drop_V: float, hysteresis_V: float, ohmic: bool
 ) -> None:
-    """Half hysteresis and half polarisation cannot be told from a rest that is not over: that is left alone."""
+    """A part of both cannot be told from a rest that is not over, so that it is left alone: not tried here."""
     drop_V, hysteresis_V = (drop_V, 0.0) if ohmic else (0.0, hysteresis_V)
     before = slow(("charge", "discharge"), drop_V, hysteresis_V)
     found = ocv_rests.reconcile(before, ocv_rests.found([pulses(hysteresis_V, early=False)]))

@@ -25,7 +25,7 @@ INSIDE = (0.08, 0.95)  # SoC: where the OCV is steep, an error of the count is o
 TURNED = 0.01  # SoC that must flow in one direction before a rest has a branch
 POLARISED_V = 3e-3  # of one branch, towards its current: worth a correction
 OFF_V = 15e-3  # any other difference: rests err by millivolts themselves
-HYSTERESIS = 0.5  # of half the width between the branches, still there after a rest: less, and it was polarisation
+HYSTERESIS = 0.15  # of half the width between the branches, left after a rest: less, and it was polarisation
 
 
 class Rest(NamedTuple):
