@@ -17,6 +17,7 @@ from bms_ukf.records import Fault
 AT_ONCE_S = (
     1e-3  # voltages closer than this count as so far apart: float32 has to tell their variance from the crowding's
 )
+R0_LEAST = -0.7  # error of r0 of no cell: a belief that needs it explains the voltage by what is not there
 REPEATS_MOST = 300.0  # readings that count as one at most
 INNOVATION_REJECTED = float(Fault.INNOVATION_REJECTED)
 
@@ -105,7 +106,8 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         y[W * k.Y_CODE + c] += real(p, math.nan) if heard & (not compared) else code  # NaN: to be refused
         held = w[W * k.H_PARTS + c] > zero
         wide = fuse & (held | is_wide(p, w, m, c))
-        leans = abs(w[W * k.H_LEAN + c]) > real(p, LEAN_MOST)
+        impossible = w[W * (m.x + m.r0) + c] < real(p, R0_LEAST)
+        leans = (abs(w[W * k.H_LEAN + c]) > real(p, LEAN_MOST)) | impossible
         doubt = (refused & (since >= p[k.P_REJECT_S])) | (fuse & leans)
         special |= 1 if held | wide | doubt else 0
         how = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
