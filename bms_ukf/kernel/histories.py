@@ -13,7 +13,7 @@ from typing import Any
 from bms_ukf.kernel import gaussian_sum as gs
 from bms_ukf.kernel import layout as k
 from bms_ukf.kernel import ohmic, voltage
-from bms_ukf.kernel.ecm import decay
+from bms_ukf.kernel.ecm import clamp, decay
 from bms_ukf.kernel.gaussian_sum import HISTORIES
 from bms_ukf.kernel.jit import inline
 from bms_ukf.kernel.layout import PARTS, tri
@@ -112,8 +112,9 @@ def first_voltage(
 def spread(p: Any, w: Any, b: Any, m: Any, c: int, mb: Any, first: int, doubted: Any) -> None:
     """Components on the fine intervals from `first` on, before their first voltage; polarisation comes after.
 
-    The slow voltage error, the r0 error and the bias are what the cell's Gaussian has, without their correlations; as
-    wide as at the very start where the belief was contradicted.
+    The slow voltage error, the r0 error and the bias are what the cell's Gaussian has, without their correlations.
+    Where the belief was contradicted they are as wide as at the very start, and no further off than that width: a wrong
+    SoC had bent them.
     """
     W, B = m.lanes, mb.lanes
     zero, fine = real(w, 0), real(w, 1) / real(w, FINE * PARTS)
@@ -128,8 +129,10 @@ def spread(p: Any, w: Any, b: Any, m: Any, c: int, mb: Any, first: int, doubted:
         prior_var = p[k.P_SLOW_VAR] if row == m.n_v else prior_var
         known = variance_of(w, W, c, m, row)
         known = prior_var if doubted else known
+        most, mean = math.sqrt(prior_var), w[W * (m.x + row) + c]
+        mean = clamp(mean, -most, most) if doubted else mean
         for lane in range(B):
-            b[B * (mb.x + row) + lane] = w[W * (m.x + row) + c]
+            b[B * (mb.x + row) + lane] = mean
             b[B * (mb.root + tri(row, row)) + lane] = math.sqrt(known)
 
 
