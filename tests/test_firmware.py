@@ -128,7 +128,7 @@ def test_a_float32_object_computes_nothing_in_double(exported, cell):
 
 def test_flash_ram_and_stack_are_within_what_a_small_microcontroller_has(exported):
     _, _, cost = exported
-    assert cost.flash < 72_000
+    assert cost.flash < 73_000
     assert cost.ram_cell < 4096
     assert cost.ram < 8192
     assert 100 < cost.stack < 1024

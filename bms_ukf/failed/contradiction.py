@@ -24,7 +24,8 @@ EVERY_NS = 10_000_000_000  # SoC is slow, and a comparison of 96 cells takes lon
 MORE = 3.0 / BOUND_SIGMAS - 1.0  # of a half-width, from a 95 % interval to one of three sigmas
 GAP_NS = 20_000_000_000  # without a current: the charge is not known
 LASTS_NS = 900_000_000_000  # without another contradiction, until the interval counts again
-LEAN = 0.6  # of the innovations; the filter doubts its belief at 0.7, and starts anew
+LEAN = 0.85  # of the innovations; the filter doubts its belief at 0.95, and starts anew
+LEAN_AT_REST = 0.6  # of a right belief: 0.5 at most, where a charge's coarse voltage reaches 0.69
 
 
 class Contradiction:
@@ -42,7 +43,7 @@ class Contradiction:
         self._least_A, self._most_A = tuning.current_margin * charge_A, tuning.current_margin * discharge_A
         self._adjusted = estimator.adjusted
         self._until_ns: int | None = None
-        self.leans = False  # innovations of most cells lean to one side
+        self.leans = False  # innovations of most cells, further than at any rest
         self.reset()
 
     def reset(self) -> None:
@@ -90,9 +91,9 @@ class Contradiction:
             per_capacity = 1.0 / estimator.capacity_scale[self._cells]
             low, high = np.asarray(estimate.soc_low)[self._cells], np.asarray(estimate.soc_high)[self._cells]
             apart = self._many(low, high, self._charge * per_capacity, loose * per_capacity)
-        leaning = np.abs(estimator.lean[self._cells]) > LEAN
-        self.leans = bool(leaning.mean() > 0.5)
-        if apart or leaning.any():
+        lean = np.abs(estimator.lean[self._cells])
+        self.leans = bool((lean > LEAN_AT_REST).mean() > 0.5)
+        if apart or (lean > LEAN).any():
             self._until_ns = t_ns + LASTS_NS
 
     def _one(self, low: PerCell, high: PerCell, charge: float, loose: float) -> bool:

@@ -85,7 +85,7 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
     W = m.lanes
     zero = real(p, 0)
     innovations(p, w, y, m, lanes)
-    special = 0
+    special, adapts = 0, p[k.P_ADAPT] > zero
     for c in range(lanes):
         innovation = y[W * k.Y_INNOVATION + c]
         heard = is_number(y[W * k.Y_VOLTAGE + c]) & (y[W * k.Y_ALIVE + c] > zero)
@@ -108,7 +108,7 @@ def compare(p: Any, w: Any, y: Any, m: Any, lanes: int) -> int:
         wide = fuse & (held | is_wide(p, w, m, c))
         impossible = w[W * (m.x + m.r0) + c] < real(p, R0_LEAST)
         leans = (abs(w[W * k.H_LEAN + c]) > real(p, LEAN_MOST)) | impossible
-        doubt = (refused & (since >= p[k.P_REJECT_S])) | (fuse & leans)
+        doubt = (refused & (since >= p[k.P_REJECT_S])) | (fuse & leans & adapts)
         special |= 1 if held | wide | doubt else 0
         how = real(p, k.BY_SIGMA_POINTS) if fuse else real(p, k.IGNORE)
         how = real(p, k.BY_PARTS) if wide else how
