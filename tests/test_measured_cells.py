@@ -61,9 +61,6 @@ SOC_GATES_PCT = {
     "panasonic_ncr18650pf": {25: 1.2, 10: 1.3, 0: 2.0, -10: 4.0},
     "a123_lfp": {45: 2.5, 25: 2.0, 5: 3.0, -15: 4.0},
 }
-# After a wrong start. The hour before the cut holds the voltage under the load at the cut, which looks like a rest at a
-# SoC far too low, most in the cold. The Panasonic drives hardly ever stand still: ours errs by 18 %, the EKF by 11 %.
-INITIAL_GATES_PCT = {"panasonic_ncr18650pf": 18.5, "a123_lfp": 8.0}
 
 
 @pytest.mark.usefixtures("third_party")
@@ -79,8 +76,7 @@ def test_soc_on_tests_never_fitted_is_right_and_its_error_bar_true(name: str) ->
     held = [outcome["figures"]["coverage95"] for outcome in nominal]
     assert min(held) > 0.85
     assert np.mean(held) > 0.92
-    assert ours["groups"]["initial SoC"]["rmse_pct"] < INITIAL_GATES_PCT[name]
-    for group in ("current offset", "current offset 0.1 A"):
+    for group in ("initial SoC", "current offset", "current offset 0.1 A"):
         error_pct = ours["groups"][group]["rmse_pct"]
         assert error_pct < 0.85 * coulomb["groups"][group]["rmse_pct"]
         assert error_pct < 1.2 * ekf["groups"][group]["rmse_pct"]  # about equal where both trust the voltage
