@@ -61,7 +61,7 @@ class Tuning(Section):
     voltage_margin_V: NonNegative = 0.7  # plausible: the cell's voltage limits and so much beyond
     current_margin: Annotated[float, Field(ge=1)] = 10.0  # plausible: so many times the cell's current limits
 
-    adaptive: bool = True  # follow the innovations: with the fast error's variance, and with a doubt where they lean
+    adaptive: bool = True  # scale the fast error's variance by the innovations; restart a belief if they keep one sign
     gate_sigmas: Positive = 5.0
     reject_s: Positive = 30.0  # after so long the belief is doubted, not the voltage
     wide_soc_sigma: Annotated[float, Field(gt=0, le=0.5)] = 0.05  # above it a belief has components (`kernel.parts`)

@@ -1,4 +1,4 @@
-"""The text of a cell file: whatever a manifest calls its cell and its files, TOML reads it back."""
+"""TOML reads back every name that a cell file takes from its manifest."""
 
 from __future__ import annotations
 

@@ -123,6 +123,19 @@ def test_a_load_that_has_flowed_since_before_the_first_sample_names_a_sensor_tha
     assert watch.fault is Fault.CURRENT_FAILED
 
 
+def test_innovations_before_a_reset_do_not_accuse_a_sensor_after_it(cell):
+    estimator = Estimator(cell)
+    contradiction = Contradiction(estimator)
+    for sample in course(cell, 600, current_A=0.5 * cell.cell.capacity_Ah):
+        sample.current_A = 0.0
+        contradiction.take(sample.t_ns, 0.0, estimator.step(sample))
+        if contradiction.leans:
+            break
+    assert contradiction.leans
+    contradiction.reset()
+    assert not contradiction.leans
+
+
 @pytest.mark.parametrize("name", sensor_failures.RIGHT)
 def test_a_sensor_that_is_right_is_not_accused_in_any_situation_of_the_campaign(name):
     situation = classes.situation(name, 5)

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
 import measured
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bms_ukf import CellParams, identify
 from bms_ukf import score as score_package
-from bms_ukf.manifest import Manifest, MeasuredTest
+from bms_ukf.manifest import MeasuredTest
 from bms_ukf.offline.signals import Signals, Told
 from bms_ukf.score import Grid, cases, leaveoneout, tables, weights
 from bms_ukf.score.recorded import Recorded
@@ -423,13 +420,11 @@ def test_a_mistake_is_one_line(bms_ukf, data: Path, tests: list[str], more: list
 def test_each_file_is_scored_whole_with_a_cell_identified_without_it(
     data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The identification takes minutes and has its own tests: a stand-in records its manifests."""
+    """The identification takes minutes and has its own tests: a stand-in records the tests that it is given."""
     given: list[tuple[set[str], set[str]]] = []
 
-    def identified(path: Path, progress) -> SimpleNamespace:
+    def identified(path: Path, progress, tests) -> SimpleNamespace:
         progress("fitting")
-        tests = Manifest.load(path).test
-        assert all(Path(test.file).is_file() for test in tests)
         uses = {use: {Path(test.file).name for test in tests if test.use == use} for use in ("fit", "validate")}
         given.append((uses["fit"], uses["validate"]))
         return SimpleNamespace(cell=CellParams.load("lgm50_chen2020"))
@@ -455,19 +450,6 @@ def test_each_file_is_scored_whole_with_a_cell_identified_without_it(
     assert nominal["warm"]["figures"]["n_scored"] > 1700
     assert said[0] == "file 1 of 3, without warm.csv: fitting"
     assert "file 3 of 3, without charge.csv: scoring charge: nominal" in said
-
-
-@given(
-    where=st.dictionaries(st.text(min_size=1), st.lists(st.floats(-1e6, 1e6) | st.text(), min_size=1), max_size=2),
-    initial_soc=st.sampled_from([None, 0.5, "rest"]),
-    file=st.text(st.characters(codec="utf-8", exclude_characters="/\x00"), min_size=1),
-)
-def test_a_manifest_is_written_as_it_was_read(where: dict, initial_soc: float | str | None, file: str) -> None:
-    options = {"where": where} | ({} if initial_soc is None else {"initial_soc": initial_soc})
-    test = MeasuredTest(role="drive", file=file, temperature_degC=25.0, columns={"time_s": file}, **options)
-    head = {"format": 1, "cell": "x", "chemistry": "y", "current_positive": "charge", "voltage_limits_V": [2.5, 4.2]}
-    tests = Manifest(**head, test=[test, test])
-    assert Manifest.model_validate(tomllib.loads(leaveoneout.to_toml(tests, tests.test))) == tests
 
 
 def test_what_the_other_tests_lack_is_named_with_the_file_that_was_left_out(data: Path, bms_ukf) -> None:

@@ -6,7 +6,7 @@ of them was wrong, or the current between them is: nobody can tell which, so non
 no step of a load shows: a current that is clipped, halved or dead since before the first sample, a voltage that stands
 still or jumps, a start that was sure of the wrong SoC.
 
-So do innovations that lean to one side for minutes (`kernel.adapt`): the voltage goes where the belief does not.
+Innovations of one sign for minutes (`kernel.adapt`) contradict the belief, too.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ EVERY_NS = 10_000_000_000  # SoC is slow, and a comparison of 96 cells takes lon
 MORE = 3.0 / BOUND_SIGMAS - 1.0  # of a half-width, from a 95 % interval to one of three sigmas
 GAP_NS = 20_000_000_000  # without a current: the charge is not known
 LASTS_NS = 900_000_000_000  # without another contradiction, until the interval counts again
-LEAN = 0.85  # of the innovations; the filter doubts its belief at 0.95, and starts anew
-LEAN_AT_REST = 0.6  # of a right belief: 0.5 at most, where a charge's coarse voltage reaches 0.69
+LEAN = 0.85  # limit of a cell's mean normalised innovation; the filter restarts its belief at 0.95
+LEAN_AT_REST = 0.6  # the same under a current near zero; measured with a right belief: at most 0.51
 
 
 class Contradiction:
@@ -43,12 +43,12 @@ class Contradiction:
         self._least_A, self._most_A = tuning.current_margin * charge_A, tuning.current_margin * discharge_A
         self._adjusted = estimator.adjusted
         self._until_ns: int | None = None
-        self.leans = False  # innovations of most cells, further than at any rest
         self.reset()
 
     def reset(self) -> None:
         """Forget the charge, and with it the intervals: what comes next does not follow what came."""
         self._t_ns: int | None = None
+        self.leans = False  # the mean innovations of most cells exceed LEAN_AT_REST
         self._heard_ns = self._checked_ns = 0
         self._current_A = math.nan
         self._charge = self._loose = 0.0  # out of a cell, and what may be wrong with it since the last comparison

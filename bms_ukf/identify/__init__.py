@@ -8,7 +8,7 @@ loaded.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,14 +54,19 @@ class Identified:
     warnings: list[str] = field(default_factory=list)
 
 
-def run(path: Path, progress: Callable[[str], None] = lambda _: None) -> Identified:
-    """The cell file that the manifest at `path` asks for. Raises ConfigError for data that cannot be used."""
+def run(
+    path: Path, progress: Callable[[str], None] = lambda _: None, tests: Sequence[MeasuredTest] | None = None
+) -> Identified:
+    """Return the cell file of the manifest at `path`, or of some of its `tests` only.
+
+    Raises ConfigError for data that cannot be used.
+    """
     with threadpool_limits(1, user_api="blas"):  # its threads wait for each other: ten times slower on a busy machine
-        return _run(path, progress)
+        manifest = Manifest.load(path)
+        return _run(path, manifest if tests is None else manifest.model_copy(update={"test": list(tests)}), progress)
 
 
-def _run(path: Path, progress: Callable[[str], None]) -> Identified:
-    tests = Manifest.load(path)
+def _run(path: Path, tests: Manifest, progress: Callable[[str], None]) -> Identified:
     slow, chosen, efficiency, warnings = load(path, tests, progress)
     fitted = chosen["fit"]
     model = choice.identify(fitted, slow, progress) if fitted else dynamics.unfitted(Structure(2), fitted, slow)
@@ -129,7 +134,7 @@ def load(
 def _from_rests(tests: Manifest, moving: list[tuple[MeasuredTest, Recording]], path: Path) -> ocv.Slow:
     pulses = [pair for pair in moving if pair[0].role == "pulse"]
     drawn_Ah = ocv_rests.drawn_from_full(tests, [pair for pair in pulses if pair[0].use == "fit"])
-    capacity_Ah = tests.capacity_Ah or drawn_Ah or 1.0  # without one it is refused, whatever the SoC
+    capacity_Ah = tests.capacity_Ah or drawn_Ah or 1.0  # `from_rests` refuses a manifest without a capacity
     slow = ocv_rests.from_rests(tests, _counted(pulses, capacity_Ah), str(path), tests.capacity_Ah or drawn_Ah)
     if tests.capacity_Ah is None:
         slow.warnings.append(f"capacity_Ah is the {capacity_Ah:.4g} Ah that the pulse test drew from full to empty")

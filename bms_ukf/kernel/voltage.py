@@ -17,7 +17,7 @@ from bms_ukf.records import Fault
 AT_ONCE_S = (
     1e-3  # voltages closer than this count as so far apart: float32 has to tell their variance from the crowding's
 )
-R0_LEAST = -0.55  # error of r0 of no cell: a belief that needs it explains the voltage by what is not there
+R0_LEAST = -0.55  # a belief with a smaller r0 error explains the voltage by a resistance that no cell has
 REPEATS_MOST = 300.0  # readings that count as one at most
 INNOVATION_REJECTED = float(Fault.INNOVATION_REJECTED)
 

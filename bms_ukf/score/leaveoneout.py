@@ -6,14 +6,10 @@ both, with all of its tests, and is scored as a whole.
 
 from __future__ import annotations
 
-import json
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from bms_ukf import manifest
 from bms_ukf.cell import CellParams
 from bms_ukf.errors import ConfigError
 from bms_ukf.manifest import Manifest, MeasuredTest
@@ -62,34 +58,10 @@ def identify_without(path: Path, tests: Manifest, file: str, progress: Callable[
     """The cell of the manifest at `path` without the tests in a file. Raises ConfigError if the others are too few."""
     from bms_ukf import identify  # imports scipy, which no other score needs
 
-    others = [
-        test.model_copy(update={"file": str(manifest.find(path, test.file).resolve())})
-        for test in tests.test
-        if test.file != file
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        left = Path(folder) / f"{path.stem} without {Path(file).name}"
-        left.write_text(to_toml(tests, others), encoding="utf-8")
-        try:
-            return identify.run(left, progress).cell
-        except ConfigError as error:
-            if error.source != str(left):
-                raise
-            raise ConfigError(path, key=error.key, expected=f"{error.expected}, without {file}, too") from None
-
-
-def to_toml(tests: Manifest, others: Sequence[MeasuredTest]) -> str:
-    """A manifest with the given tests as TOML."""
-    head = tests.model_dump(exclude={"test"}, exclude_none=True)
-    lines = [f"{key} = {_value(value)}" for key, value in head.items()]
-    for test in others:
-        values = test.model_dump(exclude_none=True, exclude_defaults=True)
-        lines += ["", "[[test]]", *(f"{key} = {_value(value)}" for key, value in values.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    """A TOML value. JSON writes strings, numbers and lists of them as TOML does, but not tables, nor U+007F."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_value(key)} = {_value(item)}" for key, item in value.items()) + "}"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    others = [test for test in tests.test if test.file != file]
+    try:
+        return identify.run(path, progress, others).cell
+    except ConfigError as error:
+        if error.source != str(path):
+            raise
+        raise ConfigError(path, key=error.key, expected=f"{error.expected}, without {file}, too") from None
